@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warp kernels: arrays and numbers in, arrays out. No files, no state, no bpy.
 
+A kernel with a parameter `offset` adds it to `wp.tid()`: a launch covers a range of the items, which begins there.
+
 Only this module knows of a folder: the one in which Warp keeps compiled kernels. It is the user's cache, or a temporary
 one where that cannot be used.
 """

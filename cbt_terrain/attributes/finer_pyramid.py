@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The heights of finer tiles (field/finer_tiles.py) at the levels below 0, as attributes read them.
 
-A tile has SIDE x SIDE finer cells, a raster cell 2^bits x 2^bits. Only tiles count where the surface differs from the
-raster's. Their own heights are level -bits. The levels between that one and the raster's are those of a pyramid over
+A tile has SIDE x SIDE finer cells, a raster cell 2^bits x 2^bits. Tiles whose surface is the raster's are left out.
+The tiles' own heights are level -bits. The levels between that one and the raster's are those of a pyramid over
 all finer heights, of which each tile has its part and one more sample on each side. They have a third as many samples
 as the finest level, and are cached like the coarser levels of the raster.
 """
@@ -39,17 +39,21 @@ def finer_places(raster: HeightRaster) -> footprint.FinerPlaces:
 
 
 def finer_heights(raster: HeightRaster, threads: int) -> wp.array:
-    """Return an array with the finer heights of a raster for kernels, of one struct, or of none without finer tiles.
+    """Return the finer heights of a raster for kernels: an array of one struct, empty without finer tiles.
 
     Cached with the raster; the coarser levels of a large one are in its store.
     """
     if raster.finer is None:
         return wp.empty(0, dtype=finer_jet.FinerHeights, device=launch.DEVICE)
-    return cached(raster.cache.results, (PYRAMID,), partial(_pack_heights, raster, raster.finer, threads))[1]
+    _levels, packed = cached(raster.cache.results, (PYRAMID,), partial(_pack_heights, raster, raster.finer, threads))
+    return packed
 
 
 def is_finer(raster: HeightRaster, box: Box) -> bool:
-    """Return whether heights are finer than the raster's anywhere in a box."""
+    """Return whether heights are finer than the raster's anywhere in a box.
+
+    box: its west, south, east and north, metres in the terrain's space.
+    """
     if raster.finer is None:
         return False
     lattice, differs = raster.lattice, _where_finer(raster, raster.finer)[0]
@@ -67,7 +71,10 @@ def is_finer(raster: HeightRaster, box: Box) -> bool:
 
 
 def _where_finer(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, footprint.FinerPlaces]:
-    """Return which tiles count, bool [rows, columns] of tiles, and the same for kernels; cached with the raster."""
+    """Return which tiles have heights that differ from the raster's, bool [rows, columns], and the same for kernels.
+
+    Both are cached with the raster.
+    """
 
     def make() -> tuple[np.ndarray, footprint.FinerPlaces]:
         """Compute both."""
@@ -78,22 +85,25 @@ def _where_finer(raster: HeightRaster, tiles: FinerTiles) -> tuple[np.ndarray, f
 
 
 def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.FinerPlaces:
-    """Return the tiles with finer heights for kernels. Those at the raster's border continue beyond it.
+    """Return which tiles have finer heights, for kernels. Those at the raster's border count as continued beyond it.
 
-    bits: a raster cell has 2^bits finer cells a side. differs: where tiles have finer heights, bool [rows, columns].
+    lattice: the raster's. bits: a raster cell has 2^bits finer cells a side. differs: where tiles have finer heights,
+    bool [rows, columns].
     """
     rows, columns = differs.shape
     padded = np.pad(differs, 1, mode="edge")
-    beside = np.zeros((rows, columns), np.int32)
+    missing_neighbours = np.zeros((rows, columns), np.int32)
     for row in range(3):
         for column in range(3):
             # bit 3 * row + column: that one of the 3 x 3 tiles around has no finer heights
-            beside |= ~padded[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
+            missing_neighbours |= ~padded[row : row + rows, column : column + columns] * np.int32(1 << 3 * row + column)
     places = footprint.FinerPlaces()
     places.bits, places.columns = bits, columns
-    places.beside = flat(np.where(differs, beside, np.int32(-1)), wp.int32)  # -1: a tile without finer heights
+    missing_neighbours[~differs] = -1  # a tile without finer heights
+    places.missing_neighbours = flat(missing_neighbours, wp.int32)
     places.cells_x, places.cells_y = lattice.cells_x << bits, lattice.cells_y << bits
     places.west, places.south, _, _ = lattice.rectangle()
+    # Finer cells a metre.
     places.per_x, places.per_y = (1 << bits) / lattice.step_x, (1 << bits) / lattice.step_y
     return places
 
@@ -101,14 +111,15 @@ def _pack_places(lattice: Lattice, bits: int, differs: np.ndarray) -> footprint.
 def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tuple[np.ndarray, wp.array]:
     """Return the levels above the tiles' own heights, float32, and all levels for kernels, an array of one struct.
 
-    The levels are in one flat array, the finest first, each with its samples of all tiles.
+    The levels are in one flat array, the finest first, each with its samples of all tiles. tiles: finer heights;
+    `tiles.numbers`, int32 [rows, columns], has the index of each tile in them, -1 for none.
     """
     lattice, sides = raster.lattice, pyramid_sides(tiles.bits)
     size, positions = tiles.pyramid_size(lattice), np.argwhere(_where_finer(raster, tiles)[0])
     shapes = {PYRAMID: ((size,), np.float32)}
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
-        """Compute the coarser levels of all tiles, those of a range of tiles on each thread."""
+        """Compute the coarser levels of all tiles into `arrays`, those of a range of tiles on each thread."""
         levels = _split_levels(arrays[PYRAMID], sides, len(positions))
         ranges = launch.ranges(len(positions), max(1, min(threads, len(positions))))
         with launch.timed("prefilter"):
@@ -118,7 +129,7 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
     has_many = size >= derived_arrays.MIN_CACHED
     derive = derived_arrays.derive_cached if has_many else derived_arrays.derive_cached_if_large
     coarser = derive(raster, shapes, fill)[PYRAMID]
-    # Numbers of tiles in the coarser levels, which only tiles that count have.
+    # Numbers of tiles in the coarser levels, which have only the tiles at `positions`; -1 for those left out.
     level_numbers = np.full(tiles.numbers.shape, -1, np.int32)
     level_numbers[tuple(positions.T)] = np.arange(len(positions))
     packed = finer_jet.FinerHeights()
@@ -132,9 +143,11 @@ def _pack_heights(raster: HeightRaster, tiles: FinerTiles, threads: int) -> tupl
 
 
 def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count: int) -> Pyramid:
-    """Return the levels of `count` tiles as a pyramid; only the fields that `jet_of` and `tile_jet` read are set.
+    """Return the levels of all tiles as a pyramid; only the fields that `jet_of` and `tile_jet` read are set.
 
-    coarser: levels above the tiles' own heights, float32, one after another.
+    Level 0 is the tiles' own heights, STRIDE x STRIDE samples each: one more than a tile's on each side. lattice: the
+    raster's. coarser: the levels above them, which `count` tiles have, float32, one after another. A level is as wide
+    as one tile, and the tiles follow each other as its rows.
     """
     sides, levels = pyramid_sides(tiles.bits), Pyramid()
     levels.samples = codes.pack_samples(tiles.heights.reshape(-1, STRIDE), steps=None)
@@ -146,6 +159,7 @@ def _pack_levels(lattice: Lattice, tiles: FinerTiles, coarser: np.ndarray, count
     levels.columns = wp.array([STRIDE, *sides], dtype=wp.int32, device=launch.DEVICE)
     rows = [len(tiles.heights) * STRIDE, *(count * side for side in sides)]
     levels.rows = wp.array(rows, dtype=wp.int32, device=launch.DEVICE)
+    # Finer cells a metre.
     levels.per_x, levels.per_y = (1 << tiles.bits) / lattice.step_x, (1 << tiles.bits) / lattice.step_y
     return levels
 
@@ -170,6 +184,8 @@ def _fill_levels(
     levels: arrays of the levels, the finest first. tile_range: numbers of the tiles.
     """
     around = 1 << tiles.bits  # finer cells that the coarsest level reads beyond a tile
+    # `last`, `first`, `low` and `high` are (y, x) in finer cells: the raster's last sample, the tile's first one, and
+    # the first and the last one of the window around the tile.
     last = raster.lattice.cells_y << tiles.bits, raster.lattice.cells_x << tiles.bits
     for number in range(tile_range.start, tile_range.stop):
         stopping.check()
@@ -179,8 +195,9 @@ def _fill_levels(
         heights = _window(raster, tiles, low, high)
         for level, out in enumerate(levels, start=1):
             heights = _halve(heights)
-            # From the sample before the tile's first to the one after its last, extrapolated beyond the border. Indices
-            # of `extended` are larger by 1 than those of `heights`.
+            # From the sample before the tile's first to the one after its last, extrapolated beyond the border. The
+            # tile's first sample is (first - low) >> level in `heights`; indices of `extended` are larger by 1, so that
+            # this is the sample before it.
             extended = np.pad(heights, 1, mode="reflect", reflect_type="odd")
             rows, columns = (
                 np.clip(np.arange(len(out[number])) + (first[k] - low[k] >> level), 0, extended.shape[k] - 1)
@@ -190,7 +207,10 @@ def _fill_levels(
 
 
 def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the heights of finer samples from row and column `low` to `high`, float32; the raster's between tiles."""
+    """Return the heights of finer samples from row and column `low` to `high`, inclusive, float32 [rows, columns].
+
+    Where none of the `tiles` has finer heights, they are interpolated from the raster.
+    """
     heights = np.empty(high - low + 1, np.float32)
     for row in range(low[0] // SIDE, -(-high[0] // SIDE)):
         for column in range(low[1] // SIDE, -(-high[1] // SIDE)):
@@ -210,10 +230,12 @@ def _window(raster: HeightRaster, tiles: FinerTiles, low: np.ndarray, high: np.n
 def _halve(heights: np.ndarray) -> np.ndarray:
     """Return the means around every other sample with the weights [1 2 1] x [1 2 1] / 16, float32 [rows, columns].
 
-    They are those of the kernel `halve_level`; beyond the border heights are 2 last - mirrored.
+    heights: an odd number of rows and of columns, so that the first and the last one stay. Beyond the border heights go
+    on straight: twice the last one minus the mirrored one. The kernel `halve_level` computes the raster's own levels in
+    the same way.
     """
     sums = heights.astype(np.float64)
-    for _ in range(2):  # along rows, then along columns
+    for _ in range(2):  # halves the rows and exchanges rows and columns: after two turns both are halved
         first, last = 2.0 * sums[:1] - sums[1:2], 2.0 * sums[-1:] - sums[-2:-1]
         before, after = np.concatenate([first, sums[1:-1:2]]), np.concatenate([sums[1::2], last])
         sums = ((before + after) + 2.0 * sums[::2]).T

@@ -3,7 +3,8 @@
 
 With `fit` its vertices may leave the surface: fewer triangles for the same vertical error. The bound is that of greedy
 insertion (Garland and Heckbert 1995), here on the triangles of longest-edge bisection; fitter.py fits the heights.
-Finer tiles count as a displacement: the raster's surface is fitted, and vertices get the change at their position.
+Finer tiles count as a displacement: the raster's surface is fitted, and vertices get the change at their position. The
+alternative to a fit, here called interpolation, is a mesh whose vertices are all on the surface.
 """
 
 import math
@@ -52,11 +53,11 @@ def fit(
 ) -> Fitted:
     """Return the mesh that is nowhere more than `error_m` metres of height off, with vertices moved to save triangles.
 
-    Never more triangles than interpolation needs. With a limit of `max_triangles` the finest error that fits, in steps
-    of 2^(1/8), if that is better than what interpolation reaches. Heights become `height * vertical_scale +
-    vertical_offset` metres. The same bytes for any number of threads. `on_progress` may raise: that cancels. The error
-    may be exceeded where `limited` is not "". Raises TerrainError if a number cannot be used, and for bicubic surfaces
-    or a detail.
+    It never has more triangles than interpolation needs. If `max_triangles` are too few for the error, the finest error
+    for which they suffice is taken, in steps of a factor 2^(1/8). Heights become `height * vertical_scale +
+    vertical_offset` metres. The bytes are the same for any number of threads. `on_progress` gets the finished fraction,
+    and may raise, which cancels. If the error could not be kept, the result's `limited` has the reason, else "". Raises
+    TerrainError if a number cannot be used, and for bicubic surfaces or a detail.
     """
     check_interpolation(field.interpolation)
     if field.detail:
@@ -73,6 +74,7 @@ def fit(
     with launch.stopwatch() as ms, launch.timed("total"):
         fitter = Fitter(field, vertical_scale, vertical_offset, threads, on_progress)
         heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
+        # Make the interpolating mesh, of whole leaves: triangles that are not cut at the raster's border yet.
         whole = Terrain(field, threads, whole=True)
         if max_triangles is None:
             plain = whole.update(criterion, **heights)
@@ -81,8 +83,9 @@ def fit(
             plain = whole.update(replace(criterion, max_triangles=delivered.leaves), **heights)
             plain = replace(plain, relaxed=delivered.relaxed)
         assert plain.bound_m is not None  # the criterion has an error in metres
+        # Fit a mesh, and keep it only if it is better than the interpolating one.
         best = None
-        if plain.relaxed > 1.0:
+        if plain.relaxed > 1.0:  # the limit of triangles has coarsened the error
             best = _fit_within(fitter, error_m, plain.relaxed, triangle_limit, plain.bound_m)
         elif plain.limited != "max_depth":  # else the deepest leaves are too coarse, which a fit cannot split either
             best = fitter.run(error_m)
@@ -120,12 +123,12 @@ def bake(
 ) -> Update:
     """Return the mesh that is nowhere more than `error_m` metres of height from a height field.
 
-    `open_store` gives the height field.
+    `open_store` gives the height field. `meshlet`: each leaf becomes 4**meshlet triangles.
 
     `fitted`: vertices leave the surface within that error, so that fewer triangles suffice (the result is a `Fitted`,
-    without meshlets); `on_progress` follows that, 0 .. 1, and may raise, which cancels. With a limit of `max_triangles`
-    the finest error that fits. Heights become `height * vertical_scale + vertical_offset` metres. Raises TerrainError
-    if a number cannot be used, and for a fit as `fit`.
+    without meshlets); `on_progress` gets the finished fraction, 0 .. 1, and may raise, which cancels. If
+    `max_triangles` are too few for the error, it is increased until they suffice. Heights become `height *
+    vertical_scale + vertical_offset` metres. Raises TerrainError if a number cannot be used, and for a fit as `fit`.
     """
     heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
     if fitted:
@@ -151,7 +154,8 @@ def _is_better(best: FittedMesh, plain: Update, fitter: Fitter, error_m: float, 
     """
     assert plain.bound_m is not None  # the criterion has an error in metres
     if plain.relaxed == 1.0 and (best.triangles, best.bound_m) > (plain.triangles, plain.bound_m):
-        return False  # more triangles than interpolation, or as many for a larger bound
+        # Without a relaxed error: more triangles than interpolation, or as many for a larger bound.
+        return False
     if max_cut is not None and len(fitter.end_at_borders(best).triangles) > max_cut:
         return False
     # `within`: the requested error, or more if the source's rounding requires it.
@@ -165,13 +169,14 @@ def _fit_within(
 
     Bisection finds it. The limit counts triangles after the cut at borders. None if no such error is below `plain_m`.
 
-    relaxed, plain_m: factor by which interpolation had to coarsen the error for that limit, and the bound that it
-    reached, metres.
+    triangle_limit: the limit. relaxed, plain_m: factor by which interpolation had to coarsen the error for it, and the
+    bound that it reached, metres.
     """
     if not plain_m > error_m:
         return None
-    # Steps up to `low` are too fine: a fit gains MAX_GAIN at most, and step 0 is the request. Steps from `high` on are
-    # no better than interpolation, or than `best`.
+    # Step n is the error error_m * 2^(n / STEPS_PER_OCTAVE). Steps up to `low` have too many triangles: interpolation
+    # needs error_m * relaxed, and a fit reaches at best 1 / MAX_GAIN of that. Steps from `high` on are no better than
+    # interpolation, or than `best`.
     low = max(-1, math.floor(STEPS_PER_OCTAVE * math.log2(relaxed / MAX_GAIN)))
     high = math.ceil(STEPS_PER_OCTAVE * math.log2(plain_m / error_m))
     best = None

@@ -125,33 +125,37 @@ class Fitter:
             return None
         field, buffers = self.field, Buffers()
         history = FrameHistory()
+        # The walk splits by `error`, a copy of the stored errors as codes (table: metres of each), which splits raise.
         error, table = self._codes(error_m)
         domain = refinable_domain(replace(field, error=error), 0, *self.placement, Rounding())
         domain.table = shared(table, wp.float32)
-        domain.is_raised = 1
+        domain.is_raised = 1  # errors may exceed the surface's on purpose, to split where the fit needs it
+        # m: the mesh for kernels; known: fitted heights and states of vertices, which are kept from mesh to mesh
         m, known = self._mesh(error_m), self._nothing_known()
         criterion = _vertical_criterion(error_m)
         if self.finer is not None:
             # The fit cannot split in finer tiles, so the walk splits all that is beyond the bound. That excludes the
             # source's rounding already.
             criterion, domain.source = _vertical_criterion(m.bound), 0.0
-            domain.enough = min(self.plain.enough, m.bound)
+            domain.enough = min(self.plain.enough, m.bound)  # smaller errors are not split
         m.codes, sweeps = shared(error, wp.uint8), Sweeps(self, m, buffers)
         for rounds in range(1, MAX_MESHES + 1):
+            # Walk the raised errors to a mesh, whose vertices get their fitted heights of earlier meshes.
             refine(field, RefinementRequest(domain, criterion, self.depth, MAX_TRIANGLES), history, self.threads)
             surface = build_surface(field, SurfaceRequest(domain, whole=True), history, self.threads)
             history.commit()
             sweeps.bind(surface, known)
-            if rounds > 1:
+            if rounds > 1:  # the mesh is done if no triangle is beyond the bound
                 self._measure(m, surface)
                 beyond = sweeps.beyond()
                 if not beyond.any():
                     return self._bounded_mesh(surface, buffers, error_m, rounds)
             sweeps.link(surface)
-            # The first mesh is not measured: the sweeps do that, also for many triangles that are beyond.
+            # The sweeps measure all of the first mesh, and of a later one the triangles beyond the bound if they are
+            # many.
             if rounds > 1 and beyond.sum() > FEW * sweeps.triangles:
                 sweeps.mark_unmeasured(beyond)
-            elif rounds > 1:  # a few: split or pin them now; if neither is possible, this mesh is the best
+            elif rounds > 1:  # a few: split them or pin their vertices to the surface; else this mesh is the best
                 counts = sweeps.refine(0.0)
                 if not counts["splits"] and not counts["pins"]:
                     return self._bounded_mesh(surface, buffers, error_m, rounds, counts["deepest"] > 0)
@@ -184,7 +188,7 @@ class Fitter:
         Sweeps(self, m, buffers).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
         if self.field.valid is not None:
-            worst = buffers.numpy("fit_worst")[: update.triangles]
+            worst = buffers.numpy("fit_worst")[: update.triangles]  # triangles in holes are not delivered
             worst[borders.in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
         mesh = self._bounded_mesh(update.surface, buffers, error_m, rounds=0)
         if update.bound_m < mesh.bound_m:
@@ -203,7 +207,7 @@ class Fitter:
         The mesh's rounding takes at most half of the error that remains beside the source's.
         """
         m = mesh_kernels.FitMesh()
-        # Vertices are multiples of 2^snap units; a cell's side is 2^(unit_bits - levels) units.
+        # Vertices are multiples of 2^snap units, 2^-finest of a cell, whose side is 2^(unit_bits - levels) units.
         m.domain, m.snap = self.plain, max(0, self.plain.unit_bits - self.plain.levels - self.finest)
         remaining = error_without_source(error_m, self.source)
         rounded = self._expected_plane_error(error_m) + self._computing_error(error_m)
@@ -211,18 +215,18 @@ class Fitter:
         return m
 
     def _codes(self, error_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the errors for the first mesh as codes that may be raised, and the errors of these codes by group.
+        """Return the codes of the diamonds' errors for the first mesh, uint8, and the errors of these codes, metres.
 
-        See fit_codes.py.
+        The latter are float32, 256 for each group of depths. Splits raise codes later (fit_codes.py).
         """
         return fit_codes.make_codes(self.field, self.plain, self.raised, error_m / self.scale, self.threads)
 
     def _nothing_known(self) -> list[wp.array]:
         """Return empty heights and states of vertices, for every sample and its continuation into the padding.
 
-        Memory is committed where it is used.
+        The system gives zeros memory only where they are written, so few vertices take little.
         """
-        across, up = self.field.lattice.span
+        across, up = self.field.lattice.span  # cells of the lattice with the padding
         vertices = (across + 1) * (up + 1)
         return [shared(np.zeros(vertices, np.float32), wp.float32), shared(np.zeros(vertices, np.uint8), wp.uint8)]
 
@@ -241,17 +245,20 @@ class Fitter:
         """Return a mesh with its bound: the largest measured distance plus the rounding of the mesh and of the source.
 
         buffers: have the measured distances ("fit_worst"). rounds: number of meshes that the fit walked. deepest:
-        whether a triangle is too coarse at the deepest level. Rounding a plane coordinate moves a facet sideways, and
-        no facet is steeper than the surface but for twice the distance of its corners over the shortest way between
-        them. The bound is rounded up, but not beyond `within(error_m)` if the sum keeps that.
+        whether a triangle is too coarse at the deepest level. Rounding a plane coordinate moves a facet sideways, which
+        changes heights by its slope. A facet may be steeper than the surface: two corners that are off by the largest
+        distance in opposite directions, over the shortest edge at its level. The bound is rounded up, but not beyond
+        `within(error_m)` if the sum is within it: the requested error, or more if the source's rounding requires that.
+        The mesh's `limited` has the reason for a bound above the request.
         """
         lattice, triangles = self.field.lattice, len(surface.triangles)
         worst = buffers.numpy("fit_worst")[:triangles]
         worst_of_level = np.zeros(int(surface.level.max()) + 1)
         np.maximum.at(worst_of_level, surface.level, worst)
-        steeper = 2.0 * worst_of_level / 2.0 ** (lattice.levels - np.arange(len(worst_of_level)) // 2)  # metres a cell
+        # By level, metres a cell; edges are 2^levels cells at level 0, and half as long after two levels.
+        steeper = 2.0 * worst_of_level / 2.0 ** (lattice.levels - np.arange(len(worst_of_level)) // 2)
         far = float(worst.max())
-        divided = 2.0 ** max(0, len(worst_of_level) // 2 - lattice.levels)
+        divided = 2.0 ** max(0, len(worst_of_level) // 2 - lattice.levels)  # shortest edges along a cell, at least 1
         precision = self._plane_rounding_error(float(steeper.max()), divided) + self._computing_error(far)
         terms_m = far, precision, self.source
         total = add_up(terms_m)
@@ -261,7 +268,7 @@ class Fitter:
             limited = "source" if bound > error_m else ""
         else:
             limited = "max_depth" if deepest else "precision"
-        terms = Terms.shares(bound, *terms_m)
+        terms = Terms.shares(bound, *terms_m)  # scaled so that their sum is the bound
         return FittedMesh(surface, bound, terms_m[0], terms, limited, rounds)
 
     def _computing_error(self, far: float) -> float:
@@ -272,7 +279,7 @@ class Fitter:
         where a tile holds them, at both ends of an edge, and those of vertices before and after the change is added.
         """
         highest = max(abs(h) for h in (self.field.min_height, self.field.max_height))
-        reach = highest * self.scale + abs(self.placement[1])
+        reach = highest * self.scale + abs(self.placement[1])  # largest magnitude of a scaled height, metres
         cut = 2.0**-SINGLE_BITS * (reach + far) if self.field.lattice.is_padded else 0.0
         finer = 4.0 * 2.0**-SINGLE_BITS * (reach + far) if self.finer is not None else 0.0
         return DISPLACEMENT_ERROR * reach + cut + finer
@@ -285,7 +292,8 @@ class Fitter:
         lattice = self.field.lattice
         # A fit moves no vertex inside a raster cell. twist: largest error of cells before they are divided, metres.
         twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
-        # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error.
+        # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error, so about
+        # log4(twist / error_m) halvings reach the request; 1 to spare.
         divided = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0
         if self.finer is not None:
             divided = max(divided, 2.0 ** (self.finer.bits + 1))
@@ -295,9 +303,9 @@ class Fitter:
     def _plane_rounding_error(self, steeper: float, divided: float) -> float:
         """Return the metres of error that rounding plane coordinates to float32 adds.
 
-        Coordinates count from the anchor. A facet whose corners were rounded away from the raster's border is
-        extended to it. Its slope grows by the factor 1 + 2 * rounding / length; 4 instead of 2 covers second-order
-        terms.
+        Coordinates count from the anchor, the point of the raster that is the mesh's origin. A facet whose corners were
+        rounded away from the raster's border is extended to it. Its slope grows by the factor 1 + 2 * rounding /
+        length; 4 instead of 2 covers second-order terms.
 
         steeper: by how many metres a cell facets may be steeper than the surface. divided: a cell is this number of
         times as long as the shortest facet, 1 at least.
@@ -308,10 +316,11 @@ class Fitter:
             (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x, self.field.steepest_x),
             (lattice.cells_y, lattice.span[1], lattice.step_y, lattice.anchor_y, self.field.steepest_y),
         )
+        # A bound for all lattice points. Without finer tiles the possible positions are few enough to round each.
         largest = position_rounding(self.field, self.depth, *self.placement)
         for axis, (cells, span, step, anchor, slope) in enumerate(axes):
-            offset = largest[axis]
-            if self.finer is None:
+            offset = largest[axis]  # the largest rounding of a vertex at any depth, metres
+            if self.finer is None:  # vertices are multiples of 2^-FINEST of a cell: take their largest rounding
                 positions = (np.arange((span << FINEST) + 1) * 0.5**FINEST - 0.5 * cells) * step - anchor
                 offset = float(np.abs(positions.astype(np.float32) - positions).max())
             offset *= times
@@ -333,7 +342,7 @@ class Fitter:
 
 
 def _vertical_criterion(error_m: float) -> CriterionArrays:
-    """Return a criterion with a vertical error alone."""
+    """Return a criterion with a vertical error alone, in metres; its one view is empty, since kernels expect one."""
     criterion = unlimited()
     criterion.metres2 = error_m * error_m
     criterion.view, criterion.views = LocalView(), wp.array([LocalView()], dtype=LocalView, device="cpu")

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh that is being fitted: sweeps that move its vertices, and splits where that is not enough."""
+"""A mesh that is being fitted: sweeps that move its vertices, and splits where that is not enough.
+
+A triangle is beyond the bound if it is farther from the surface than a fit may leave it. Each listed triangle pushes
+its corners up or down by what would reduce its error; a vertex moves by the weighted mean of its pushes.
+"""
 
 from typing import Any
 
@@ -49,12 +53,12 @@ class Sweeps:
         Fitter); vertices of `surface` that were in one of them get these.
         """
         triangles, vertices = len(surface.triangles), len(surface.positions)
-        if triangles + triangles // 8 > self.m.room:  # an eighth is left for splits
+        if triangles + triangles // 8 > self.m.capacity:  # an eighth is left for splits
             self._reserve(2 * triangles + 1024, vertices + triangles + 1024)
         self.triangles, self.vertices, self.count, self.m.round = triangles, vertices, triangles, 0
         self.buffers.numpy("fit_corner_verts")[: 3 * triangles] = surface.corner_verts
         self.buffers.numpy("fit_level")[:triangles] = surface.level
-        self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)
+        self.buffers.numpy("fit_active")[:triangles] = np.arange(triangles)  # the list
         self.buffers.numpy("fit_awake")[:triangles] = -1  # measured in no round
         self.mark_unmeasured(slice(None))
         self.fitter.spread(binding.place_vertices, vertices, [self.m, shared(surface.positions, wp.vec3f), *known])
@@ -62,18 +66,19 @@ class Sweeps:
     def _reserve(self, triangles: int, vertices: int) -> None:
         """Allocate arrays for this many triangles and vertices; earlier contents are lost."""
         get = self.buffers.get
+        # Arrays of triangles, of their corners, and of vertices (a weighted sum and a weight each in `push`).
         for count, arrays in (
             (triangles, {"level": wp.int32, "worst": wp.float64, "seen": wp.vec3f}),
             (triangles, {"awake": wp.int32, "active": wp.int32}),
-            (3 * triangles, {"corner_verts": wp.int32, "beside": wp.int32, "pushes": wp.vec2f}),
+            (3 * triangles, {"corner_verts": wp.int32, "neighbours": wp.int32, "pushes": wp.vec2f}),
             (vertices, {"point": wp.vec2i, "z": wp.float32, "state": wp.uint8, "first": wp.int32, "movers": wp.int32}),
             (2 * vertices, {"push": wp.float64}),
         ):
             for name, dtype in arrays.items():
                 setattr(self.m, name, get(f"fit_{name}", count, dtype))
-        self.m.marks = get("fit_marks", triangles // 32 + 1, wp.uint32)
+        self.m.marks = get("fit_marks", triangles // 32 + 1, wp.uint32)  # a bit for each triangle
         self.buffers.numpy("fit_marks")[:] = 0
-        self.m.room = triangles - 32  # to spare: `list_marked` also writes past the end of its list
+        self.m.capacity = triangles - 32  # to spare: `list_marked` also writes past the end of its list
 
     def link(self, surface: Surface) -> None:
         """Write to `m` the neighbours of the triangles across their edges, and a triangle of each vertex.
@@ -104,6 +109,8 @@ class Sweeps:
             self.m.round = rounds
             self.fitter.tell_progress()
             beyond = self._sweep()
+            # While many are beyond the bound, split only those that stand out: others may come within it by moves
+            # alone.
             is_local = beyond - later > FEW * self.triangles and rounds < MANY_ROUNDS
             counts = self.refine(LOCAL if is_local else 0.0)
             later = counts["later"]
@@ -130,15 +137,15 @@ class Sweeps:
         """Measure the listed triangles, and how far each would push its vertices to err less."""
         work_ns = self.count * self.fitter.ns_each(self.triangles)
         pieces = min(self.fitter.threads, int(work_ns / 3e5)) or 1  # 0.3 ms each, or more
-        inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]
+        inputs = [[*piece, self.m] for piece in launch.ranges(self.count, pieces)]  # ranges of the list, one a thread
         launch.slices(kernels.measure_pushes, inputs, step="fit pull", recorded=self.recorded)
 
     def refine(self, min_share: float) -> dict[str, int]:
-        """Split triangles beyond the bound, or pin them to the surface; return counts by the names below.
+        """Split triangles beyond the bound, or pin their vertices to the surface; return four counts by name.
 
-        They are all splits, vertices that were pinned, those splits that wait for the next walk, and triangles too
-        coarse at the deepest level. min_share: part of the largest excess around that a triangle must have: LOCAL, or 0
-        to split all of them.
+        "splits": all splits; "later": those of them that only the next walk of the tree makes; "pins": vertices that
+        were pinned; "deepest": triangles too coarse at the deepest level. min_share: only triangles whose distance
+        beyond the bound is at least this fraction of the largest one around are split: LOCAL, or 0 for all.
         """
         self.found_np[1:3] = self.triangles, self.vertices  # before the splits; the kernel replaces them
         inputs = [self.count, self.fitter.depth, wp.float64(min_share), self.m, self.found]

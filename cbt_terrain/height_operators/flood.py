@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A flood over time: minutes of rain, or a surge of the sea. Heights do not change."""
+"""A flood over time: minutes of rain, or a surge of the sea. Heights do not change.
+
+`launch.spread` runs a kernel for a number of items, each of which takes `cost` times 15 ns.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -81,7 +84,7 @@ def still(
     holes = np.zeros(bed.shape, bool) if missing is None else missing
     # The sum of depth and bed, both of single precision, is exact in float64, so that still water stays still.
     below_sea = float(np.float32(sea)) - bed.astype(np.float64)
-    depth = np.where((below_sea > 0.0) & ~holes, below_sea + surge, 0.0)
+    depth = np.where((below_sea > 0.0) & ~holes, below_sea + surge, 0.0)  # of water at the start
     border = holes.copy()
     border[[0, -1]] = True
     border[:, [0, -1]] = True
@@ -91,8 +94,21 @@ def still(
     # Fluxes to the east and to the north, with a row of 0 before and after those of the raster.
     fluxes, old_fluxes = (np.zeros((2, bed.shape[0] + 2, bed.shape[1])) for _ in range(2))
     rains = np.ascontiguousarray(np.broadcast_to(np.float32(rain), bed.shape))
-    fraction, left = np.ones_like(fluxes[0]), 0.0
-    return Flood(bed, depth, metres, rough, rains, outlets, deep, left, fluxes, old_fluxes, fraction, threads)
+    outflow_fraction, left = np.ones_like(fluxes[0]), 0.0  # all outflow is possible, and no water has left yet
+    return Flood(
+        bed=bed,
+        water=depth,
+        metres=metres,
+        rough=rough,
+        rain=rains,
+        outlets=outlets,
+        deep=deep,
+        left=left,
+        fluxes=fluxes,
+        old_fluxes=old_fluxes,
+        outflow_fraction=outflow_fraction,
+        threads=threads,
+    )
 
 
 def longest_step(flood: Flood) -> float:
@@ -159,7 +175,7 @@ def _advance(flood: Flood, dt: float) -> None:
     # Kernels count rows from the raster's first, which is row 1 of these arrays.
     s.was_east, s.was_north = (flat(a[1:], wp.float64) for a in flood.old_fluxes)
     s.east, s.north = (flat(a[1:], wp.float64) for a in flood.fluxes)
-    s.part = flat(flood.outflow_fraction[1:], wp.float64)
+    s.outflow_fraction = flat(flood.outflow_fraction[1:], wp.float64)
     for phase in (kernels.update_fluxes, kernels.limit_outflow, kernels.update_depths):
         launch.spread(phase, s.height, [s], step="flood", threads=flood.threads, cost=flood.bed.shape[1] / 4)
     # The depth at an outlet is that beyond it; a surplus has left the raster, a deficit has come in.
@@ -171,7 +187,8 @@ def _advance(flood: Flood, dt: float) -> None:
 def speeds(flood: Flood) -> np.ndarray:
     """Return the speeds, float32 [rows, columns] m/s: the mean flux of both sides over the depth.
 
-    They are at most critical, sqrt(g depth), the speed of waves.
+    They are at most critical, sqrt(g depth), the speed of waves. `flood.fluxes`, [2, rows + 2, columns], go to the next
+    sample in the east and north; a row of 0 is before and after the raster's rows.
     """
     to_east, to_north = flood.fluxes[0, 1:-1], flood.fluxes[1, 1:-1]
     x, y = to_east.copy(), to_north + flood.fluxes[1, :-2]  # each with the flux from the west or south: twice the mean
@@ -209,14 +226,17 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
         missing=ground.missing,
         threads=ground.threads,
     )
-    _check_time(flood, 60.0 * values["minutes"])
+    _check_time(flood, 60.0 * values["minutes"])  # raises if that would take too many steps
     march(flood, 60.0 * values["minutes"], ground.progress)
     layers = {DEPTH.name: flood.water.astype(np.float32), SPEED.name: speeds(flood)}
     return Change(np.zeros(flood.bed.shape, np.float32), layers)
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a sea at rest keeps its bits, and that a basin holds 60 mm everywhere after an hour of such rain."""
+    """Assert that a sea at rest keeps its bits, and that a basin holds 60 mm everywhere after an hour of such rain.
+
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
+    """
     bed = np.tile(np.float32(-5.0) + np.arange(16, dtype=np.float32), (12, 1))
     layers = evaluate("flood", bed, step=7.0, sea=0.25, rain=0.0, minutes=5.0).layers
     assert (layers["water_depth"] == np.maximum(np.float32(0.25) - bed, 0.0)).all()

@@ -9,5 +9,5 @@
 
 All use metres in the terrain's own space, its middle at (0, 0), as positions of its mesh; heights become `height *
 vertical_scale + vertical_offset` as in `Terrain.update`. The surface is the field's: bilinear or bicubic, with its
-detail; where holes are cut out there is none. Arguments that cannot be used raise a TerrainError.
+displacement; in holes there is none. Arguments that cannot be used raise a TerrainError.
 """

@@ -14,7 +14,7 @@ from ..field.lattice import Lattice
 from ..plain_numbers import plain_number
 from ..run import launch
 from ..run.buffers import shared
-from .surface import height_ranges_of, pack_surface, rounded_more
+from .surface import height_ranges_of, pack_surface, widening_of
 
 
 def box_range(
@@ -31,9 +31,9 @@ def box_range(
 
     west, south, east, north: sides of the box, metres in the terrain's space. Raises TerrainError for sides that are
     not finite or in the wrong order. Exact for a bilinear surface: in a cell its extrema are at the corners of the part
-    inside the box. A bicubic one is between these heights, the control heights of the patches that the box touches
-    (rounded outward by 1/65,535 of the terrain's relief), and one with detail at most the detail's amplitude beyond
-    them. O(cells in the box).
+    inside the box. Of a bicubic one they are bounds: the extreme control heights of the patches that the box touches,
+    rounded outward by 1/65,535 of the terrain's relief. Displacement layers widen them by their amplitude. O(cells in
+    the box).
     """
     sides = [plain_number(value, float, "A side of the box") for value in (west, south, east, north)]
     west, south, east, north = sides
@@ -46,15 +46,16 @@ def box_range(
     low, high = _in_cells(sides, lattice)
     if (low > high).any():
         return math.nan, math.nan
-    # A point on the border of a hole is on the last side of the cells before it, which have ground.
+    # With holes, the cells before a side that is on a border between cells are searched, too: the border of a hole is
+    # ground, perhaps of those cells alone.
     before = low if field.valid is None else np.ceil(low) - 1
     first_column, first_row = (max(0, min(int(n), cells - 1)) for n, cells in zip(before, _cells(lattice), strict=True))
     rows = min(int(high[1]), lattice.cells_y - 1) - first_row + 1
     row_ranges = np.empty((rows, 2))
     corners = map(wp.float64, (*low, *high))
     ranges = height_ranges_of(field, surface)
-    # The detail's largest displacement alone: the heights of finer tiles are read.
-    ranges.more = rounded_more(field, surface, highest(field.parts))
+    # Only by the largest displacement of layers, not by the change of finer tiles, whose heights the kernel reads.
+    ranges.widening = widening_of(field, surface, highest(field.parts))
     inputs = [
         surface,
         ranges,

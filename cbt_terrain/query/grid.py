@@ -20,10 +20,10 @@ COST = 2.0  # of a height, times dearer than a lookup
 
 
 class CellPositions(NamedTuple):
-    """Positions along one axis of a raster: cells, int32 [n], and places in them, float64 [n], 0 .. 1."""
+    """Positions along one axis of a raster: cells, int32 [n], and fractions of a cell, float64 [n], 0 .. 1."""
 
     cells: np.ndarray
-    parts: np.ndarray
+    fractions: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,8 @@ def heights_on_grid(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the heights of all rows and columns, float64 [rows, columns] metres, and where there is ground, bool.
 
-    Holes have heights, too. The displacement of the field is included.
+    columns, rows: the cell of the raster that contains each column and row, and the position in it, 0 .. 1. Holes have
+    heights, too. The displacement of the field is included.
     """
     from ...kernels import wp
     from ...kernels.query import grid as kernels
@@ -107,8 +108,8 @@ def heights_on_grid(
 
     surface, shape = pack_surface(field, 1.0, 0.0), (len(rows.cells), len(columns.cells))
     heights, has_ground = np.empty(shape), np.empty(shape, bool)
-    inputs = [surface, shared(columns.cells, wp.int32), shared(columns.parts, wp.float64)]
-    inputs += [shared(rows.cells, wp.int32), shared(rows.parts, wp.float64)]
+    inputs = [surface, shared(columns.cells, wp.int32), shared(columns.fractions, wp.float64)]
+    inputs += [shared(rows.cells, wp.int32), shared(rows.fractions, wp.float64)]
     inputs += [shared(heights.reshape(-1), wp.float64), shared(has_ground.reshape(-1), wp.bool)]
     launch.spread(kernels.grid_heights, shape[0], inputs, step="query", threads=threads, cost=COST * shape[1])
     return heights, has_ground

@@ -55,10 +55,10 @@ def ground_at(
     vertical_offset: float = 0.0,
     threads: int | None = None,
 ) -> GroundSamples:
-    """Return the ground at points, float64 [n, 2], x and y in metres in the terrain's own space. Raises TerrainError.
+    """Return the ground at points: heights, normals, slopes and whether there is ground. Raises TerrainError.
 
-    A point on the border of a hole or of the raster is inside; so is one that float32 has rounded off the border. O(1)
-    each.
+    places: float64 [n, 2], x and y in metres in the terrain's own space. A point on the border of a hole or of the
+    raster is inside; so is one that float32 has rounded off the border. O(1) each.
     """
     surface, places = pack_surface(field, vertical_scale, vertical_offset), vectors(places, 2, "places")
     count = len(places)
@@ -80,9 +80,9 @@ def profile(
 ) -> Profile:
     """Return heights along a line through the points `line`, float64 [m, 2] metres, m at least 2. Raises TerrainError.
 
-    Without a spacing, at its points and wherever it crosses a line of samples, finer tiles' too; between two of these a
-    bilinear surface is a parabola. With a spacing, every `spacing` metres from its beginning, and at its end; other
-    points of `line` are then left out. Some points may come twice.
+    Without a spacing, they are at its points and wherever it crosses a line of samples, finer tiles' too; between two
+    of these a bilinear surface is a parabola. With a spacing, they are every `spacing` metres from its beginning, and
+    at its end; other points of `line` are then left out. Some points may come twice.
     """
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
@@ -109,7 +109,7 @@ def _check_count(count: float) -> None:
 
 
 def _space_evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return points every `spacing` metres, and the last point: metres along the line, and x and y.
+    """Return points every `spacing` metres, and the last point: metres along the line, [k], and x and y, [k, 2].
 
     line: float64 [m, 2], metres. ends: metres along the line at its points. Raises TerrainError for too many points and
     a spacing that is not positive.
@@ -123,10 +123,11 @@ def _space_evenly(line: np.ndarray, ends: np.ndarray, spacing: float) -> tuple[n
 
 
 def _crossings(field: HeightField, line: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points of a line and its crossings with lines of samples: metres along the line, and x and y.
+    """Return the points of a line and its crossings with lines of samples, in order along the line.
 
-    A crossing at a sample, where two such lines meet, may come twice. line: float64 [n, 2], metres. ends: metres along
-    the line at its n points. Raises TerrainError for too many points.
+    The results are metres along the line, float64 [k], and x and y, float64 [k, 2], metres. A crossing at a sample,
+    where two such lines meet, may come twice. line: float64 [n, 2], metres. ends: metres along the line at its n
+    points. Raises TerrainError for too many points.
     """
     lattice = field.lattice
     finer = field.raster.finer

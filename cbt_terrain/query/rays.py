@@ -36,8 +36,9 @@ def pick(
     """Return where rays first meet the surface, from above or from below. Raises TerrainError.
 
     origins, directions: float64 [n, 3] in the terrain's own space, metres; directions have any length but 0. A ray that
-    begins on the surface hits it there, one that touches it does, one through a hole does not. Exact up to float64
-    rounding: on a bilinear surface a root is solved for, on others it is enclosed (kernels/query/crossing.py).
+    begins on the surface hits it there. A ray that only touches it hits it, one through a hole does not. Hits are exact
+    up to float64 rounding: on a bilinear surface a root is solved for, on others it is enclosed
+    (kernels/query/crossing.py).
     """
     origins, directions = _check_rays(origins, directions)
     surface = pack_surface(field, vertical_scale, vertical_offset)

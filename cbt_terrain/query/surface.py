@@ -51,7 +51,8 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
 def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> crossing.HeightRanges:
     """Return the ranges of heights, in metres after the scaling of `surface`, by which rays skip whole blocks of cells.
 
-    Their fields are explained in HeightRanges. Memory is shared, nothing is read.
+    Ranges are stored for blocks of 2^2, 2^4 .. 2^top cells a side, as codes: a height is base + code * step metres.
+    Memory is shared, nothing is read.
     """
     lattice, ranges = field.lattice, crossing.HeightRanges()
     ranges.top = lattice.levels // ray_kernels.STEP * ray_kernels.STEP
@@ -60,21 +61,23 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
     )
     ranges.spare = SPARE * (ranges.high_z - ranges.low_z + max(abs(ranges.low_z), abs(ranges.high_z)))
     ranges.base, ranges.step = field.range_base * surface.scale + surface.offset, field.range_step * surface.scale
-    ranges.more = rounded_more(field, surface, field.max_change)
+    ranges.widening = widening_of(field, surface, field.max_change)
     first, pages = lattice.range_layout()
     ranges.first, ranges.pages = shared(first, wp.int64), shared(pages, wp.int32)
     ranges.ranges = flat(field.ranges, wp.uint16)
-    # First entries of the ranges of cells, and of the curvatures, which are stored behind the errors.
+    # First entries of the ranges of cells (behind those of all blocks), and of the curvatures (behind all errors).
+    # `table` has metres of the codes by group: `groups` groups of depths, then the cells, then the curvatures.
     ranges.cells, ranges.curvatures = first[-2], lattice.node_count
     ranges.cell_pages, ranges.curvature_group = pages[-1], lattice.groups + 1
     ranges.table, ranges.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
-    # The first way to split a term of the displacement has all of it in the smooth part, so it bounds the whole term.
+    # Each term of the displacement is bounded in several ways as a smooth part, whose curvature is known, plus a
+    # remainder. In the first way there is no remainder, so its curvature bounds that of the whole term.
     ranges.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)
     return ranges
 
 
-def rounded_more(field: HeightField, surface: kernels.QueriedSurface, change: float) -> float:
-    """Return the metres by which ranges of heights are widened, since they leave out the detail and are rounded.
+def widening_of(field: HeightField, surface: kernels.QueriedSurface, change: float) -> float:
+    """Return the metres by which ranges of heights are widened, since they leave out displacement and are rounded.
 
     change: largest displacement, metres before the scaling of `surface`.
     """

@@ -35,8 +35,8 @@ def viewshed(
     eye: x, y, z in metres in the terrain's own space. A sample is seen if nowhere the surface rises above the straight
     line from `target_height` metres over it to the eye. The whole line is searched: exact, as R3 of Franklin, Ray and
     Mehta (1994, "Geometric algorithms for siting of air defense missile batteries") but over the surface instead of its
-    lines of samples. Within `radius` metres of the plan, all by default. Holes are not seen, and do not hide. The earth
-    is flat.
+    lines of samples. Only samples within `radius` metres in the plan are seen; None: no limit. Holes are not seen, and
+    do not hide. The earth is flat.
     """
     eye = vectors(eye, 3, "eye")
     if len(eye) != 1:

@@ -3,6 +3,9 @@
 
 Both share only the definition of the surface: the numbers of `Detail`, the pixels, the masks and the hash. Positions
 are metres from the raster's middle, heights metres before vertical scaling.
+
+The numbers of a layer: `frequency`, lattice points or pixels a metre of the first octave or the image; `amplitude`,
+metres; `gain`, factor on the amplitude from an octave to the next.
 """
 
 import warp as wp

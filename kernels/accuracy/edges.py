@@ -5,6 +5,12 @@ Over one cell the reference is a saddle, so its difference from a plane has extr
 the cell that a triangle covers. Along cell borders both are straight; along a triangle's edge the difference is a
 parabola in each cell. For a bicubic reference the difference is a polynomial of degree six there, and with detail it is
 no polynomial: both are evaluated at PLACES points of each stretch. Heights are metres after vertical scaling.
+
+`ground` is the reference surface. A triangle f (MeasuredFacet) has its corners (x, y) in lattice units, of which a cell
+has 2^bits a side.
+
+A *stretch* of an edge is its part in one cell, `from_` to `to` (0 .. 1 along the edge); line_x and line_y are the
+numbers of the next grid lines that the edge meets.
 """
 
 import warp as wp
@@ -66,7 +72,6 @@ def turning_point(e0: wp.float64, e1: wp.float64, e2: wp.float64) -> wp.float64:
     curvature = wp.float64(2.0) * (e0 + e2 - wp.float64(2.0) * e1)
     slope = e2 - e0 - curvature
     turn = wp.float64(0.5)
-    # The parabola turns between 0 and 1.
     if slope * curvature < wp.float64(0.0) and wp.abs(slope) < wp.float64(2.0) * wp.abs(curvature):
         turn = -slope / (wp.float64(2.0) * curvature)
     return turn
@@ -153,8 +158,9 @@ def point_of_stretch(ground: Reference, f: MeasuredFacet, k: wp.int32, s: Stretc
 def rounding_at_corner(ground: Reference, f: MeasuredFacet, k: wp.int32, position: wp.vec3f) -> wp.float64:
     """Bound the height, metres, by which float32 rounding has moved corner k of triangle f off the reference surface.
 
-    It has two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z. position: the
-    corner as delivered, metres.
+    It has two parts: the rounding of x and y, times the slope of the triangle, and the rounding of z. Both together are
+    measured, unless z is off the surface by more than rounding explains; then half a float32 step stands for its part.
+    position: the corner as delivered, metres.
     """
     u, v = on_edge(ground, f, k, wp.float64(0.0))  # the corner's lattice point: x and y before rounding
     z = wp.float64(position[2])

@@ -4,10 +4,14 @@
 Points are measured in raster cells from the south-west corner. Which triangle owns a point is decided in integers:
 2^bits lattice units a cell, fine enough that float32 positions round to their own lattice point and to no other. A
 triangle's plane goes through its three float32 positions as they were delivered, evaluated in float64. Heights are
-metres after vertical scaling. Detail is the height of all displacement layers.
+metres after vertical scaling. Detail is the height of all displacement layers. `ground` is the reference surface, f a
+triangle of the mesh.
 
 The code that makes bounds and fits (criterion.py, hierarchy.py, fitting/) is not used here, though fitting/facet.py
 finds the same maximum: a fault in one of the two shows in the other.
+
+`ground` has the samples in metres before scaling: a height is sample * scale + offset. Where it has finer tiles, they
+replace the samples.
 """
 
 import warp as wp
@@ -140,7 +144,10 @@ def detail_in(ground: Reference, u: wp.float64, v: wp.float64) -> wp.float64:
 
 @wp.func
 def finer_height(finer: PackedTiles, tile: wp.int32, u: wp.float64, v: wp.float64) -> wp.float64:
-    """Return the height, metres before scaling, of a finer tile at (u, v) finer cells from the raster's corner."""
+    """Return the height, metres before scaling, of a finer tile at (u, v) finer cells from the raster's corner.
+
+    finer.heights has the tiles one above the other, STRIDE rows each. A tile has SIDE x SIDE cells.
+    """
     x = wp.floor(u)
     y = wp.floor(v)
     row = tile * STRIDE + 1 + (wp.int32(y) & (SIDE - 1))  # a row and a column precede those of the tile
@@ -232,7 +239,7 @@ def toward_zero(value: wp.float64) -> wp.float32:
     """Return a value as the nearest float32 that is not larger in magnitude, so that no measurement is overstated."""
     single = wp.float32(value)
     if wp.abs(wp.float64(single)) > wp.abs(value):
-        single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)
+        single = wp.cast(wp.cast(single, wp.int32) - 1, wp.float32)  # the float32 before: its bits as a number, less 1
     return single
 
 
@@ -285,12 +292,16 @@ def owns(ground: Reference, f: MeasuredFacet, i: wp.int32, j: wp.int32) -> wp.bo
     bits = wp.int64(ground.bits)
     shift_x = shift_of(wp.int64(i), wp.int64(ground.samples.columns - 1))
     shift_y = shift_of(wp.int64(j), wp.int64(ground.samples.rows - 1))
-    return covers(f, wp.int64(1), wp.int64(i) << bits, wp.int64(j) << bits, shift_x, shift_y)
+    per_unit = wp.int64(1)  # the sample's coordinates are lattice units
+    return covers(f, per_unit, wp.int64(i) << bits, wp.int64(j) << bits, shift_x, shift_y)
 
 
 @wp.func
 def sample_box(ground: Reference, f: MeasuredFacet) -> wp.vec4i:
-    """Return the samples in the bounding box of a triangle: first and last column, then first and last row."""
+    """Return the samples in the bounding box of a triangle: first and last column, then first and last row.
+
+    f.west .. f.north: the box in lattice units.
+    """
     bits = wp.int64(ground.bits)
     to_next = (wp.int64(1) << bits) - wp.int64(1)
     return wp.vec4i(

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The difference of a mesh and a bicubic reference, or one with detail, inside triangles.
 
-No closed form gives its maximum, so it is evaluated on a grid of points.
+No closed form gives its maximum, so it is evaluated on a grid of points. `ground` is the reference surface; the box of
+a triangle f (west, south, east, north) is in lattice units.
 """
 
 import warp as wp

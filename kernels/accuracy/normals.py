@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Angles between the normals of a mesh and of the reference surface at every sample."""
+"""Angles between the normals of a mesh and of the reference surface at every sample.
+
+`ground` is the reference surface. A triangle f (MeasuredFacet) of the mesh has its corners (x, y) in lattice units, of
+which a cell has 2^bits a side, and the slopes of its plane in metres a cell.
+"""
 
 import warp as wp
 

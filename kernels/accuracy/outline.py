@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rays against a mesh, and distances to its outline in a frame. Points are in pixels from the frame's middle."""
+"""Rays against a mesh, and distances to its outline in a frame. Points are in pixels from the frame's middle.
+
+`ground` is the reference surface, which gives the raster's position and steps; `eye` is the view. A ray has the points
+(u, v, z) + t * (du, dv, dz), in cells of the raster and metres.
+"""
 
 import warp as wp
 
@@ -53,7 +57,8 @@ def meets_mesh(
 ) -> wp.bool:
     """Return whether a ray meets the mesh between t = start and t = end along the ray.
 
-    boxes: a hierarchy, which gives candidates in float32; each triangle is then tested in float64.
+    boxes: a hierarchy, which gives candidates in float32; each triangle is then tested in float64. The interval of t is
+    first cut down to the mesh's box, axis by axis (`within`).
     """
     x = ground.west + ray.u * ground.step_x
     y = ground.south + ray.v * ground.step_y
@@ -89,9 +94,9 @@ def mesh_cover(
     frame_point: wp.array(dtype=wp.vec2d),
     cover: wp.array(dtype=wp.bool),
 ):
-    """Write cover[p]: whether the ray through point p = offset + tid of the frame meets the mesh.
+    """Write cover[p]: whether the ray through point p = offset + tid of the frame meets the mesh in the clip range.
 
-    frame_point: pixels from the frame's middle.
+    frame_point: pixels from the frame's middle. boxes: bounding boxes of the mesh's triangles, as a hierarchy.
     """
     p = offset + wp.tid()
     cover[p] = meets_mesh(
@@ -142,7 +147,7 @@ def nearest(
     y = frame_point[p][1]
     x_scale = one
     if eye.kind == PANORAMIC:
-        x_scale = wp.abs(wp.cos(y / eye.pixels_per_radian))
+        x_scale = wp.abs(wp.cos(y / eye.pixels_per_radian))  # a pixel's width shrinks with the latitude
     i = wp.int32(wp.floor(x - west))
     j = wp.int32(wp.floor(y - south))
     border = wp.min(x - west, west + wp.float64(columns - 1) - x) * x_scale

@@ -4,6 +4,11 @@
 Points are on a grid 2^7 times finer than the lattice, sorted along the Morton curve. The points of a square whose side
 is a power of two are one run of them, so a triangle finds its points by one search in each of the at most four squares
 of its size that hold it (Morton 1966; Samet 1990, linear quadtrees).
+
+`ground` is the reference surface, of which a cell has 2^bits lattice units a side. The box of a triangle f (west,
+south, east, north) is in these units.
+
+Of MeasuredPoints: `key` has the Morton keys in ascending order, and `order` the numbers of their points.
 """
 
 import warp as wp

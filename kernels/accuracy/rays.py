@@ -7,8 +7,9 @@ with minima, as a ray may also run below). In one cell, ray minus bilinear surfa
 crossing is exact. Against a bicubic surface, or one with detail, the ray is evaluated at PLACES + 1 points in the cell,
 and a change of sides between two of them is bisected: a ray that dips into the surface and out again between two points
 is not seen to touch it. Cells are left by their number, never by a rounded coordinate, and a change of sides between
-two cells is a crossing, so that no ray slips through. All arithmetic is float64. Heights are metres after
-vertical scaling.
+two cells is a crossing, so that no ray slips through. All arithmetic is float64. Heights are metres after vertical
+scaling. `ground` is the reference surface, `blocks` the heights of its blocks. A ray has the points (u, v, z) + t *
+(du, dv, dz), cells and metres; it is on the surface within its `tolerance`, metres.
 """
 
 import warp as wp
@@ -210,7 +211,7 @@ def in_one_patch(
 def over_ground(ground: Reference, blocks: HeightBlocks, ray: SightRay, start: wp.float64, end: wp.float64):
     """Return the first and last t of start .. end where the ray is over the raster and near its range of heights.
 
-    There is none if first > last.
+    There is none if first > last. `within` cuts the interval of t down to a range of one coordinate.
     """
     zero = wp.float64(0.0)
     first, last = within(start, end, ray.u, ray.du, zero, wp.float64(ground.samples.columns - 1))

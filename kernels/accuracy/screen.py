@@ -2,7 +2,11 @@
 """What a view sees of the reference surface, and by how many pixels it sees the points of a mesh displaced.
 
 A point has two heights besides the reference's, from and to, above the same (x, y): reference and mesh, or a mesh
-before and after. Its error is the distance of their projections. Heights are metres after vertical scaling.
+before and after. Its error is the distance of their projections. Heights are metres after vertical scaling. `ground` is
+the reference surface, `blocks` the heights of its blocks (for rays), f a triangle of the mesh.
+
+Of an `eye`: start .. end is the clip range in metres of depth, or of distance in a panorama; half_width and half_height
+are half of the frame in pixels.
 """
 
 import warp as wp
@@ -147,7 +151,8 @@ def is_hidden(
         if eye.kind == PANORAMIC:
             depth = wp.length(camera)
         end = wp.float64(1.0) - eye.start / depth
-    return first_crossing(ground, blocks, ray, wp.float64(0.0), end, 0) < NOWHERE
+    start_level = 0  # the smallest blocks: the ray starts on the surface
+    return first_crossing(ground, blocks, ray, wp.float64(0.0), end, start_level) < NOWHERE
 
 
 @wp.kernel
@@ -242,7 +247,8 @@ def seen_points(
     """
     p = offset + wp.tid()
     ray = ray_through(eye, frame_point[p][0], frame_point[p][1])
-    t = first_crossing(ground, blocks, ray, eye.start, eye.end, blocks.levels)
+    start_level = blocks.levels  # the largest blocks: the eye may be far away
+    t = first_crossing(ground, blocks, ray, eye.start, eye.end, start_level)
     x[p] = wp.int64(-1)
     if t < NOWHERE:
         units = wp.float64(wp.int64(1) << (wp.int64(ground.bits) + wp.int64(POINT_BITS)))
@@ -272,7 +278,8 @@ def triangle_px(
 ):
     """Raise worst[t] of triangles first .. end - 1 to the largest error in pixels at samples and along edges.
 
-    Only points in the frame count, hidden ones among them.
+    Each edge is cut by the raster's rows and columns into stretches, which are evaluated at `num_points` points. Only
+    points in the frame count, hidden ones among them.
     """
     for t in range(first, end):
         f = facet_of(ground, mesh, t)

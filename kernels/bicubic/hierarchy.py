@@ -19,8 +19,9 @@ def cover_sides(
 ):
     """Raise the error of cell `offset + tid` to half the largest curvature of the cell and its four neighbours, metres.
 
-    So the error also bounds triangles whose longest edge is a side of the cell. errors: metres. curvatures: bounds of a
-    quarter of the second derivatives, metres, from `patch_errors`. cells: layout of both.
+    So the error also bounds triangles whose longest edge is a side of the cell, and which extend into the next one. A
+    side is shorter than a cell's diagonal by the root of two, which halves the bound by curvature. errors: metres.
+    curvatures: bounds of a quarter of the second derivatives, metres, from `patch_errors`. cells: layout of both.
     """
     p = diamond(cells, offset + wp.int64(wp.tid()))
     index = entry(cells, p[0], p[1])
@@ -75,8 +76,9 @@ def keep_rows(
 ):
     """Copy row `first[1] + offset + tid` of a window's diamonds, `columns` from first[0] on, to the raster's `out`.
 
-    At depths of sides only every other place of a row has a diamond. values, out: errors or distances, metres. part:
-    layout of `values`. whole: layout of `out`, by diamonds of the raster. corner: the window's first diamond there.
+    At depths whose diamonds are centred on sides of cells only every other place of a row has a diamond. values, out:
+    errors or distances, metres. part: layout of `values`. whole: layout of `out`, by diamonds of the raster. corner:
+    the window's first diamond there.
     """
     y = first[1] + offset + wp.tid()
     for k in range(columns):
@@ -100,9 +102,9 @@ def encode_rows(
 ):
     """Encode the diamonds of row `first[1] + offset + tid` of a window, `columns` from first[0] on, for the raster.
 
-    At depths of sides only every other place of a row has a diamond. values: errors in metres, with the layout `part`.
-    codes: those of the raster, with the layout `whole`. corner: the window's first diamond in the raster. table, group:
-    metres of the codes, and the group of this depth.
+    At depths whose diamonds are centred on sides of cells only every other place of a row has a diamond. values: errors
+    in metres, with the layout `part`. codes: those of the raster, with the layout `whole`. corner: the window's first
+    diamond in the raster. table, group: metres of the codes, and the group of this depth.
     """
     y = first[1] + offset + wp.tid()
     for k in range(columns):

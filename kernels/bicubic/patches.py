@@ -173,8 +173,8 @@ def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
 def curvature_of(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.float64:
     """Bound a quarter of the largest norm of the second derivatives of the patch between columns b and c, metres.
 
-    The derivatives xx, xy and yy are raised to the degree 3 x 3, so that the norm, which is convex, is bounded by its
-    values at the control points.
+    That quarter bounds the distance of the patch from the two triangles of its cell. The derivatives xx, xy and yy are
+    raised to the degree 3 x 3, so that the norm, which is convex, is bounded by its values at the control points.
     """
     third = wp.float64(1.0) / wp.float64(3.0)
     half = wp.float64(0.5)
@@ -264,7 +264,8 @@ def patch_errors(
         d = column(raster, corner[0] + x + 2, cy)
         curvature = round_up(curvature_of(a, b, c, d) * OUTWARD)
         apart = round_up(off_bilinear(a, b, c, d) * OUTWARD)
-        twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))  # by the corners' heights
+        # the heights of two opposite corners minus those of the other two
+        twist = wp.abs((b[0] - c[0]) + (c[3] - b[3]))
         index = entry(cells, x, y)
         put(distance, index, apart)
         by_twist = round_up((twist * wp.float64(0.25) + wp.float64(apart)) * OUTWARD)

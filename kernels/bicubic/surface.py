@@ -21,12 +21,12 @@ def weights(s: wp.float64) -> wp.vec4d:
     half = wp.float64(0.5)
     one = wp.float64(1.0)
     three = wp.float64(3.0)
-    rest = one - s
+    r = one - s
     return wp.vec4d(
-        -half * s * rest * rest,
+        -half * s * r * r,
         one - half * s * s * (wp.float64(5.0) - three * s),
         half * s * (one + s * (wp.float64(4.0) - three * s)),
-        -half * s * s * rest,
+        -half * s * s * r,
     )
 
 

@@ -9,7 +9,11 @@ The pass follows the cells of a quadtree, not the curve. A diamond of odd depth 
 centred on the side between two cells and is counted in the northern or eastern one. So each is visited once, while a
 walk over triangles visits it twice. For a window of few steps the pass takes about half the time of a refinement.
 
-`w`: the slice's Count.
+`w`: the slice's Count. A *slice* is a part of the curve through the deepest cells of the quadtree, those of
+`max_depth`; a cell's `code` is the number of its first deepest cell on it. An *interval* (LodInterval) holds the
+consequences of a measured diamond for those below it: stored errors above `split_above` metres are certainly split, and
+errors up to `leaf_up_to` require no split. `first_cell` .. `end_cell` are the slice's deepest cells, and a root square
+has 2^cell_bits of them. Steps end at `coarsest`; criterion.limit is the factor on its squared limits.
 """
 
 import warp as wp
@@ -35,7 +39,10 @@ wp.set_module_options(INLINED)
 
 @wp.func
 def square_cell(domain: Domain, w: Count, square: wp.int32) -> Cell:
-    """Return a cell whose north-eastern quadrant is root square `square`: there the count of a square starts."""
+    """Return a cell whose north-eastern quadrant is root square `square`: there the count of a square starts.
+
+    Its middle is the square's south-western corner, and its code that of the square's first cell.
+    """
     cell = Cell()
     row = square / domain.columns
     cell.x = (square - row * domain.columns) << domain.unit_bits
@@ -52,10 +59,12 @@ def diamond_of_cell(domain: Domain, w: Count, cell: Cell, number: wp.int32) -> C
 
     number: 3 .. 0 the quadrants of the cell, in this order so that quadrant 0 is on top of the stack; -1 and -2 its
     south and west side; -3 and -4 its north and east side, which count only on the terrain's border. `triangles` of the
-    result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant of which only the end is in
-    the slice has 2, to be visited; by its `code` the caller sees that an earlier slice counts it.
+    result is 0 if neither the diamond nor one below it is counted in this slice. A quadrant that begins in an earlier
+    slice has 2, too, so that its cells in this slice are visited; its own diamond is counted where it begins, which
+    `p.code < w.first_cell` tells the caller.
     """
-    half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)  # of the cell's side, lattice units
+    # Half of the cell's side, lattice units. Two bisections halve it; the start cell (depth -1) is two squares wide.
+    half = (wp.int32(1) << domain.unit_bits) >> ((cell.depth + 1) >> 1)
     p = CellDiamond()
     p.number = number
     p.x = cell.x
@@ -106,10 +115,13 @@ def judge(
 ):
     """Return (last, visits, measured): the last step at which a diamond p is split, and how the count goes on below it.
 
-    last: `step` - 1 if it is not split at `step`, the first step that still counts. visits: whether to visit the
-    cell that it fills (a side fills none). measured: 1 if it had to be measured, else 0. limits, coarse: the criterion
-    at `step` and at the last step. The interval below the diamond is written into entry `top` of the stack. Plain
-    numbers are returned because Warp copies a struct that changes in a branch, even if the branch is not taken.
+    last: `step` - 1 if it is not split at `step`, the first step that still counts. visits: whether to visit the cell
+    that it fills (a side fills none). measured: 1 if it had to be measured, else 0. limits, coarse: the criterion at
+    `step` and at the last step. cell: that of `p`, with the interval that judges it. p.number: negative for a diamond
+    on a side, below which this cell counts nothing. Below the raster's cells an error is SURE (a half) to 1 times the
+    stored one, and computed exactly only for a measurement. The interval below the diamond is written into entry `top`
+    of the stack. Plain numbers are returned because Warp copies a struct that changes in a branch, even if the branch
+    is not taken.
     """
     error = wp.float32(0.0)
     min_fraction = wp.float64(1.0)  # of the stored error, that the exact one is at least
@@ -167,10 +179,11 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
 
     A step is a value of the relaxation, finest first; `w.limit_factors` has its factor on squared limits. Whenever more
     than `max_splits` triangles are split at the finest step, the next step becomes the finest. The finest step at the
-    end is written to `w.from_step`; if it passes `w.coarsest`, the count ends early. `w.marks` and `w.measured` receive
-    the cells and the number of measured diamonds, by which the next count is divided among threads.
+    end is written to `w.from_step`; if it passes `w.coarsest`, the count ends early. `w.measured` receives the number
+    of measured diamonds, and `w.marks` the cell that was reached after every `w.spacing` of them, up to MARKS cells: by
+    them the next count is divided among threads. `w.slot` is the slice's number in these arrays.
     """
-    no_slack = wp.float64(0.0)
+    no_slack = wp.float64(0.0)  # intervals need not hold for a camera that moves
     criterion.limit = w.limit_factors[w.coarsest]
     coarse = limits_of(criterion, no_slack)
     step = wp.int32(w.finest)
@@ -197,7 +210,6 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                     if p.code >= w.first_cell:  # it begins in the slice
                         total += count_last_split(w, step, last, wp.int64(p.triangles))
                     measured += wp.int64(newly_measured)
-                    # Behind MARKS marks, the rest of the slice is one part.
                     if measured >= wp.int64(num_marks + 1) * w.spacing and num_marks < MARKS:
                         w.marks[w.slot * MARKS + num_marks] = p.code
                         num_marks += 1

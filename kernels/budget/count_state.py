@@ -65,9 +65,9 @@ class Count:
 
 @wp.func
 def count_last_split(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int64) -> wp.int64:
-    """Count triangles whose last step with a split is `last`; return how many of them are split at `step`, too.
+    """Count triangles that are split at the steps up to `last`; return how many of them are split at `step`.
 
-    It is all of them or, if `last` is below `step`, none, which are not counted either.
+    All of them are, and w.last_steps counts them at `last`; if `last` is before `step`, none is and none is counted.
     """
     counted = wp.int64(0)
     if last >= step:
@@ -81,8 +81,9 @@ def count_last_split(w: Count, step: wp.int32, last: wp.int32, triangles: wp.int
 def last_split(criterion: CriterionArrays, limits: Limits, w: Count, first: wp.int32, m: MeasuredDiamond) -> wp.int32:
     """Return the last step at which the measured diamond m is split. It is split at step `first`.
 
-    limits: the criterion at `first`. The logarithm of the diamond's excess over it estimates the number of steps from
-    `first` on; the walk's test `too_coarse` then finds the exact one.
+    limits: the criterion at `first`. The logarithm of the diamond's squared excess over it, at STEPS_PER_SQUARE an
+    octave, estimates the number of steps from `first` on, limited to 0 .. w.coarsest - first (also for NaN). The walk's
+    test `too_coarse` then finds the exact one.
     """
     num_steps = wp.float64(wp.log2(wp.float32(excess2(limits, m)))) * STEPS_PER_SQUARE
     step = first + wp.int32(larger(smaller(num_steps, wp.float64(w.coarsest - first)), wp.float64(0.0)))

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement of a surface with detail."""
+"""Displacement of points of a mesh to the surface with detail, which is the sum of all displacement layers.
+
+Of the domain: a root square has 2^levels cells and 2^unit_bits lattice units a side; the raster ends at the units
+`east` and `north`, beyond which the lattice has only padding.
+"""
 
 import warp as wp
 
@@ -40,8 +44,8 @@ def displace_detail(
     """Write positions, normals and UV of points first .. end - 1, on the surface with all displacement layers.
 
     Like `displace` (kernels/mesh/displace.py), it copies runs of points that the last mesh had. Points are counted in
-    the slice: point 0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of
-    the thread's list of runs.
+    the slice: point 0 is entry `point_base` of `points.point`, lattice units, and vertex `vertex_base` of the mesh.
+    slot: number of the thread's list of runs. Samples of the point AHEAD entries further on are fetched into the cache.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

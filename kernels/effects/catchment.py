@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drainage areas from drainage (routing.py): filled lakes, and flow to all lower neighbours.
 
-`order` lists donors before receivers; read backwards, it begins at outlets.
+A sample's *receiver* is the neighbour that it drains to; the samples that drain to it are its *donors*. Of the arrays
+d, [n] in rows, these are read: `h`, heights in metres; `to`, the direction of the receiver, 3 * (dy + 1) + dx + 1, or
+ROOT without one; `order`, the samples, donors before receivers, so that read backwards it begins at outlets.
 """
 
 import warp as wp
@@ -35,16 +37,17 @@ def sort_order(
 ):
     """Sort `order` by the filled surface, the highest first, serially; level samples keep their order.
 
-    So donors remain before receivers. scratch, upper_halves: [n], overwritten. starts: [2 * 65536] zeros, overwritten.
+    So donors remain before receivers. scratch, upper_halves [n], starts [2 * 65536] zeros: scratch of a radix sort.
     """
     sort_from_top(d, d.grid.width * d.grid.height, d.order, scratch, upper_halves, starts)
 
 
 @wp.func
 def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
-    """Return the weight of the flow from sample i to its neighbour in direction k: metres of fall times contour share.
+    """Return the weight of the flow from sample i to its neighbour in direction k, 0 if that is not lower.
 
-    k: 0 .. 8, as 3 * (dy + 1) + dx + 1. It is 0 if the neighbour is not lower on the filled surface.
+    It is the slope of the filled surface times the length of contour that the flow crosses: the fall in metres times
+    `share`, that length over the distance of the neighbours. k: 0 .. 8, as 3 * (dy + 1) + dx + 1.
     """
     fall = wp.float64(d.filled[i]) - wp.float64(d.filled[towards(i, k, d.grid.width)])
     return wp.max(fall, wp.float64(0.0)) * d.grid.share[axis(k)]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Jets at levels below 0, of finer tiles and the pyramid of their heights.
 
-Level -bits has the finer heights. The levels up to -1 are those of a pyramid over all finer heights; level 0 is the
-raster, so that values are continuous where a point's level passes 0.
+A *finer tile* is a square of the raster with heights at a fraction of its step. Level -bits has the finer heights. The
+levels up to -1 are those of a pyramid over all finer heights; level 0 is the raster, so that values are continuous
+where a point's level passes 0.
 """
 
 import warp as wp
@@ -21,8 +22,8 @@ class FinerHeights:
 
     bits: wp.int32  # a raster cell has 2^bits finer cells a side; the pyramids have levels 0 .. bits - 1
     columns: wp.int32  # of the table of tiles
-    tiles: wp.array(dtype=wp.int32)  # number of the tile at each place of the table, by which level 0 has its rows
-    numbers: wp.array(dtype=wp.int32)  # ... its number in the coarser levels; -1 without finer heights
+    tiles: wp.array(dtype=wp.int32)  # [rows * columns]: number of each tile in the array of level 0
+    numbers: wp.array(dtype=wp.int32)  # ... and in those of the coarser levels; -1 without finer heights
     cells_x: wp.int32  # finer cells of the raster
     cells_y: wp.int32
     levels: Pyramid
@@ -46,8 +47,9 @@ def tile_jet(
     i = wp.min(wp.int32(u), wp.min(side, (finer.cells_x - first_x) >> level) - 1)
     j = wp.min(wp.int32(v), wp.min(side, (finer.cells_y - first_y) >> level) - 1)
     place = row * finer.columns + column
-    # Rows of the level's array before those of the tile. A tile's array begins one sample before the tile, so (i, j) is
-    # the first of the 4 x 4 samples of the cell. Level 0 has all tiles, the others only those with finer heights.
+    # Rows of the level's array before those of the tile. A tile has side + 1 samples and one more at each end, so side
+    # + 3 rows; at level 0 that is STRIDE. It begins one sample before the tile, so (i, j) is the first of the 4 x 4
+    # samples of the cell. Level 0 has all tiles, the others only those with finer heights.
     first_row = wp.where(level == 0, item_at(finer.tiles, place) * STRIDE, item_at(finer.numbers, place) * (side + 3))
     q = jet_of(finer.levels, level, i, first_row + j, wp.float32(u - wp.float64(i)), wp.float32(v - wp.float64(j)))
     per_x = finer.levels.per_x * scale
@@ -59,8 +61,8 @@ def tile_jet(
 def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.float64, level: wp.float32) -> Jet:
     """Return the jet (z, zx, zy, zxx, zxy, zyy) of displaced heights at x, y metres and a level below 0.
 
-    A level below 0 is finer than the raster's samples. ground: the raster's pyramid, whose level 0 counts where no
-    heights are finer. Points outside the raster are clamped to its border.
+    A level below 0 is finer than the raster's samples. finer.cells_x, cells_y: finer cells of the raster. ground: its
+    pyramid, whose level 0 counts where no heights are finer. Points outside the raster are clamped to its border.
     """
     last_x = wp.float64(ground.columns[0] - 1)
     last_y = wp.float64(ground.rows[0] - 1)
@@ -71,6 +73,7 @@ def finer_jet_at(finer: FinerHeights, ground: Pyramid, x: wp.float64, y: wp.floa
     finer_y = cell_y * finer_per_cell
     column = wp.min(wp.int32(finer_x), finer.cells_x - 1) >> TILE_BITS
     row = wp.min(wp.int32(finer_y), finer.cells_y - 1) >> TILE_BITS
+    # Level -bits is level 0 of the tile's pyramid; its level `bits` is the raster itself.
     pyramid_level = wp.float32(finer.bits)
     if item_at(finer.numbers, row * finer.columns + column) >= 0:  # a tile with finer heights
         pyramid_level = wp.max(pyramid_level + level, wp.float32(0.0))

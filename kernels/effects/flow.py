@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drainage areas, wetness and layers at points."""
+"""Drainage areas, wetness and layers at points. `positions` are the points, metres.
+
+A pyramid has values on a raster, its level 0, and at halved resolutions, levels 1 and more.
+"""
 
 import warp as wp
 

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The level of a pixel's footprint: the scale of attributes that pictures show; and the finest level at a point.
 
-Levels below 0, finer than the raster, are those of finer tiles (cbt_terrain/field/finer_tiles.py).
+A level is log2 of the samples of the raster that a pixel covers. `eyes` are the views, `positions` points in metres.
+
+Levels below 0, finer than the raster, are those of *finer tiles*: squares of the raster with heights at a fraction of
+its step.
 """
 
 import warp as wp
@@ -28,9 +31,9 @@ class FinerPlaces:
 
     bits: wp.int32  # a raster cell has 2^bits finer cells a side
     columns: wp.int32  # of the table of tiles
-    # For each place of the table, bit 3 j + i for each neighbour without finer heights, i columns and j rows from the
-    # south-western one; -1 for a place that has none itself.
-    beside: wp.array(dtype=wp.int32)
+    # For each place of the table: bit 3 j + i is 1 if the neighbour i columns east and j rows north of the
+    # south-western one has no finer heights; -1 for a place that has none itself.
+    missing_neighbours: wp.array(dtype=wp.int32)
     cells_x: wp.int32  # finer cells of the raster
     cells_y: wp.int32
     west: wp.float64  # position of the raster's first sample, metres
@@ -45,9 +48,10 @@ class FinerPlaces:
 @wp.func_native("""
     const wp::vec3f* place = positions.data + first;
     float* __restrict out = levels.data + first;
-    const double largest = (double)(2ll << 2 * max_level);
+    const double largest = (double)(2ll << 2 * max_level);  // above max_level, to which it is limited below
     const float smallest = 1.0f / (float)(1 << -2 * min_level);
-    // First the squares of the samples that a pixel covers, the smallest of all eyes.
+    // First the squares of the samples that a pixel covers, the smallest of all eyes. (a, b, c): the point in the
+    // eye's camera space; pixel2: squared samples that a pixel covers at unit distance from it.
     for (int e = 0; e < (int)eyes.shape[0]; ++e) {
         const auto& eye = eyes.data[e];
         const auto& m = eye.linear.data;
@@ -113,22 +117,23 @@ def finest_level(places: FinerPlaces, x: wp.float64, y: wp.float64) -> wp.float3
     """Return the finest level at x, y metres: -bits inside tiles with finer heights, 0 outside and at their border.
 
     Within FADE finer cells of that border it is linear in the distance, the larger of those in x and y: it is
-    continuous.
+    continuous. places: the table of these tiles, which has the missing neighbours of each as bits, and -1 for a tile
+    without finer heights; cells_x, cells_y: finer cells of the raster; per_x, per_y: finer cells a metre.
     """
     cell_x = wp.clamp((x - places.west) * places.per_x, wp.float64(0.0), wp.float64(places.cells_x))
     cell_y = wp.clamp((y - places.south) * places.per_y, wp.float64(0.0), wp.float64(places.cells_y))
     column = wp.min(wp.int32(cell_x), places.cells_x - 1) >> TILE_BITS
     row = wp.min(wp.int32(cell_y), places.cells_y - 1) >> TILE_BITS
-    beside = item_at(places.beside, row * places.columns + column)
+    missing_neighbours = item_at(places.missing_neighbours, row * places.columns + column)
     level = wp.float64(0.0)
-    if beside >= 0:
+    if missing_neighbours >= 0:
         side = wp.float64(SIDE)
         west = cell_x - wp.float64(column) * side
         south = cell_y - wp.float64(row) * side
         level = FADE  # until it is scaled: the distance from the border in finer cells, at most FADE
-        if beside != 0:
+        if missing_neighbours != 0:
             for k in range(9):
-                if ((beside >> k) & 1) != 0:  # neighbour k, 3 * (dy + 1) + dx + 1, has no finer heights
+                if ((missing_neighbours >> k) & 1) != 0:  # neighbour k, 3 * (dy + 1) + dx + 1, has no finer heights
                     distance_x = wp.where(k % 3 == 0, west, wp.where(k % 3 == 2, side - west, wp.float64(0.0)))
                     distance_y = wp.where(k / 3 == 0, south, wp.where(k / 3 == 2, side - south, wp.float64(0.0)))
                     level = wp.min(level, wp.max(distance_x, distance_y))

@@ -6,7 +6,7 @@ horizon is the largest slope from the point to a crossing. A crossing is a funct
 that the order of visits does not change bits, and crossings that cannot raise the horizon may be skipped: blocks of 2^l
 cells a side whose maximum is below the horizon so far (Tevs, Ihrke and Seidel 2008, "Maximum mipmaps for fast,
 accurate, and scalable dynamic height field rendering"). A few crossings at growing distances are visited first; they
-raise the horizon early.
+raise the horizon early. `g` is the ground: the raster and the maxima of its blocks.
 """
 
 import warp as wp
@@ -83,11 +83,11 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
     const double dx = azimuth[0] / g.step_x, dy = azimuth[1] / g.step_y;  // cells a metre
     // Nearer crossings are the point itself: positions are float32, and a height over no distance is no slope.
     const double near = (g.step_x < g.step_y ? g.step_x : g.step_y) / 1024.0;
-    // The ray against the lines of one direction. It runs from line cell + behind of a cell to line cell + ahead.
+    // The ray against the lines of one direction. In a cell it runs from line cell + behind to line cell + ahead.
     struct Axis {
-        double from, per_metre, metres;  // cells, cells a metre, metres a cell
-        int cells, ahead, behind, on;
-        bool goes;
+        double from, per_metre, metres;  // the ray's start in cells, cells a metre, metres a cell
+        int cells, ahead, behind, on;  // on: step to the ray's next cell, 1 or -1
+        bool goes;  // it is not parallel to these lines
         double at(int line) const { return goes ? (line - from) * metres : 1e300; }  // metres to a line
         int start() const {
             const int cell = (int)from - (goes && behind && (int)from == from);
@@ -109,6 +109,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
                           {y0, dy, 1.0 / dy, rows - 1, dy > 0.0, !(dy > 0.0), dy > 0.0 ? 1 : -1, dy != 0.0}};
     const long long strides[2] = {1, columns};
     const float *const floats = g.samples.floats.data, *const tops = g.tops.data;
+    // Blocks: their maxima `tops`, level by level; each level's first entry, and its blocks in a row.
     const wp::int64 *const first = g.first.data;
     const int *const wide = g.wide.data, levels = g.levels;
     // Less the point's height, with a margin above rounding.
@@ -119,7 +120,7 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
             ? (float)((double)(g.samples.numbers.data[k] + g.samples.first) * g.samples.scale + g.samples.offset)
             : floats[k]);
     };
-    // The crossing `way` metres off with a line of axis d, inside `cell` of the other.
+    // Raise `best` to the slope of the crossing `way` metres off with a line of axis d, inside `cell` of the other.
     auto meet = [&](int d, int line, int cell, double way) __attribute__((always_inline)) {
         const Axis &other = axes[!d];
         const long long k = line * strides[d] + cell * strides[!d];
@@ -179,8 +180,8 @@ def horizon(
     """Return the horizon, a slope of `lowest` .. `enough`, of crossings up to `far` metres away.
 
     The walk stops once the horizon is at least `enough`. x0, y0: cells from the first sample, inside the raster; z0:
-    scaled metres. azimuth: unit length, in metres. Lines are crossed in order, of two at the same distance the one that
-    runs north first. A skip ends in the state of a walk that visits every crossing, so that none is lost or added at a
-    corner of cells.
+    scaled metres. azimuth: unit vector (east, north). Lines are crossed in order, of two at the same distance the one
+    that runs north first. After a skipped block the walk is in the same cell as one that visits every crossing, so that
+    no crossing is lost or added at a corner of cells.
     """
     ...

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Slope, aspect, curvatures and the normal from a jet; one kernel computes all requested ones."""
+"""Slope, aspect, curvatures and the normal from a jet; one kernel computes all requested ones.
+
+A jet is (z, zx, zy, zxx, zxy, zyy): a height in metres, with its first and second derivatives along x and y per metre.
+"""
 
 import warp as wp
 

@@ -2,7 +2,8 @@
 """Reuse of the last surface's values: points in both surfaces are found, and their values copied.
 
 Vertices of both surfaces are in the order of the same curve, so that common points usually form a few long runs. A run
-is (first point, first point of the last surface, count). Equality is bit by bit.
+is (first point, first point of the last surface, count). Equality is bit by bit. `positions`: this surface's points,
+metres; `last`, `last_count`: the last surface's points and their number.
 """
 
 import warp as wp
@@ -94,12 +95,16 @@ def match_anywhere(
     runs: wp.array(dtype=wp.vec3i),
     found: wp.array(dtype=wp.int32),
 ):
-    """Append runs of points that both surfaces have in any order, if the last one has about five eighths of the rest.
+    """Append runs of points that both surfaces have in any order, from point found[1] on.
+
+    The search is left out if the last surface has less than about five eighths of these points, as after a cut to
+    another view: it would cost more than it saves. Points with one hash in 64 estimate that fraction: each adds 8 - 5
+    to a balance if the last surface has it, and -5 if not. The balance begins at ALWAYS, so that few points are always
+    searched.
 
     One thread. runs [count], found (number of runs, first point to find): continued from `match_in_order`. table
     [2**bits]: scratch, -1 before. It has one point for each hash of x and y, so that a run may begin late, but none is
-    wrong. Points with one hash in 64 estimate that fraction: each adds 8 - 5 to a balance if the last surface has it,
-    and -5 if not. After a cut to another view the fraction is too small to search.
+    wrong.
     """
     for i in range(last_count):
         slot = hash_slot(last[i], bits)
@@ -185,7 +190,8 @@ def copy_runs(
 ):
     """Copy the last surface's values of all quantities to points first .. end - 1 that are in a run.
 
-    runs: (first point, first point of the last surface, count); the first `run_count` entries. pairs: the arrays.
+    runs: (first point, first point of the last surface, count); the first `run_count` entries. pairs: for each quantity
+    its last values, `width` numbers a point, and those of this surface.
     """
     for p in range(pairs.shape[0]):
         pair = pairs[p]

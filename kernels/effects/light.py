@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light at a point: the fraction of the sky, or of the sun's disc, above its horizons.
 
-Only + - * / and square roots, so that bits do not depend on a machine's library of functions.
+Only + - * / and square roots, so that bits do not depend on a machine's library of functions. `occluder`: the ground,
+which is the raster with the maxima of its blocks.
 """
 
 import warp as wp
@@ -101,12 +102,12 @@ def sun_seen(
     z = surface(occluder, x, y)
     zero = wp.float64(0.0)
     visible = zero
-    whole = zero
+    disc = zero  # area of the whole disc, like `visible` in heights of strips
     for k in range(strips.shape[0]):
         half_height = strips[k].half_height
         slope = horizon(occluder, x, y, z, strips[k].azimuth, wp.float64(1.0e300), low, high)  # at any distance
         # In radii above the disc's centre.
         hidden_up_to = (elevation_of(slope) - elevation) / radius
         visible += wp.clamp(half_height - hidden_up_to, zero, wp.float64(2.0) * half_height)
-        whole += wp.float64(2.0) * half_height
-    out[i] = wp.float32(visible / whole)
+        disc += wp.float64(2.0) * half_height
+    out[i] = wp.float32(visible / disc)

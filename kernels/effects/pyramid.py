@@ -5,6 +5,8 @@ Level l has the samples at multiples of 2**l, each a mean of the level below wit
 (P. J. Burt, "Fast filter transforms for image processing", 1981). A jet is the height with its first and second
 derivatives, of the uniform cubic B-spline over 4 x 4 samples (whose second derivatives are continuous), linear between
 two levels. Boundary: heights are extrapolated linearly, h(-1) = 2 h(0) - h(1), so that a plane is exact everywhere.
+
+`ground` is the pyramid of the terrain's heights, or of a layer's values.
 """
 
 import warp as wp
@@ -177,15 +179,15 @@ def halve_level(offset: int, ground: Pyramid, level: int, out: wp.array(dtype=wp
 def jet_of(ground: Pyramid, level: int, x: int, y: int, u: wp.float32, v: wp.float32) -> Jet:
     """Return the jet at (u, v), 0 .. 1, of the cell whose south-west sample is (x + 1, y + 1) of a level.
 
-    A jet is (z, zx, zy, zxx, zxy, zyy) of a cubic spline through 4 x 4 samples: metres before vertical scaling,
-    derivatives per cell.
+    A jet is (z, zx, zy, zxx, zxy, zyy) of the cubic B-spline over the 4 x 4 samples from (x, y) on: metres before
+    vertical scaling, derivatives per cell.
     """
     ...
 
 
 @wp.func
 def inverse_power(level: wp.int32) -> wp.float64:
-    """Return 2**-level."""
+    """Return 2**-level, made from its exponent bits."""
     return wp.cast(wp.int64(1023 - level) << wp.int64(52), wp.float64)
 
 

@@ -6,6 +6,10 @@ marks outlets: holes, and the raster's border, so that every sample with a recei
 drain over the lowest passes between their basins (Cordonnier, Bovy and Braun 2019, "A versatile, linear complexity
 algorithm for flow routing in topographies with depressions", section 2). Here Kruskal's algorithm links basins by
 reversing the flow in a basin's tree, so that no graph is built. All steps but the sort are linear.
+
+The arrays d (DrainageArrays) have an entry for each sample, row by row: `h`, heights in metres; `base`, 1 at outlets;
+`to`, receivers; `label`, basins; `donors`, numbers of neighbours that drain into a sample; `order`, samples, donors
+before receivers.
 """
 
 import warp as wp
@@ -76,7 +80,7 @@ def find_receivers(offset: int, d: DrainageArrays, inverse_distance: wp.vec3f, n
         d.to[first] = ROOT
         d.to[first + d.grid.width - 1] = ROOT
         row_hash = scramble(wp.uint32(noise.row + y) + noise.seed) + wp.uint32(noise.column)
-        # The factors are 256 equally spaced numbers with a mean of 1.
+        # The factors are 256 numbers with a mean of 1, in steps of jitter / 256 from 1 - jitter 255 / 512 on.
         min_factor = wp.float32(1.0) - noise.jitter * wp.float32(0.498046875)
         factor_step = noise.jitter * wp.float32(0.00390625)
         find_receivers_of_row(d, y, inverse_distance, min_factor, factor_step, row_hash)
@@ -108,11 +112,12 @@ def route_flats(d: DrainageArrays, end: wp.int32):
 def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """Drain flats to their nearest outlet, serially; a flat without one drains to its first sample, a pit.
 
-    Overwrites `order`. pits [1] becomes the number of pits; the pits get the labels 2, 3 .. in the order of samples.
+    Overwrites `order`, the queue; the receivers of the samples that begin it have WAITING added until their turn. pits
+    [1] becomes the number of pits; the pits get the labels 2, 3 .. in the order of samples.
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)
-    # Samples without a receiver, beside a level one that drains, begin the queue; `next_pit` finds all without one.
+    # Samples without a receiver that touch a level one that drains begin the queue; `next_pit` finds all without one.
     i = next_pit(d, 0)
     while i < n:
         is_routed = wp.int32(0)
@@ -162,9 +167,10 @@ def find_passes(
 ):
     """Count or list the passes of row `offset + tid`: pairs of neighbours in different basins, in directions 5 .. 8.
 
-    emit: 0 to write their number to start[row]; 1 to list them from entry start[row] on. `start` then has the number of
-    passes of all rows before each row and, as its last entry, of all. edge: 4 * sample + direction - 5. The last row
-    is left out, as both ends of its passes are outlets.
+    Those are the next sample in the row and three in the next row, so each pair is met once. emit: 0 to write their
+    number to start[row]; 1 to list them from entry start[row] on. `start` then has the number of passes of all rows
+    before each row and, as its last entry, of all. edge: 4 * sample + direction - 5. The last row is left out, as both
+    ends of its passes are outlets.
     """
     y = offset + wp.tid()
     if emit == 0:
@@ -184,8 +190,8 @@ def sort_passes(
 ):
     """Sort `count` passes stably by their heights, the lowest first, serially.
 
-    edge: 4 * sample + direction - 5 of each, sorted in place. scratch, upper_halves: [count], overwritten. starts: [2 *
-    65536] zeros, overwritten.
+    edge: 4 * sample + direction - 5 of each, sorted in place. scratch, upper_halves [count], starts [2 * 65536] zeros:
+    scratch of a radix sort.
     """
     sort_passes_from_bottom(d, count, edge, scratch, upper_halves, starts)
 
@@ -283,7 +289,8 @@ def count_donors(offset: int, d: DrainageArrays):
 def order_downstream(d: DrainageArrays):
     """Order all samples, donors before receivers, serially (Zhou, Wei and Fu 2019).
 
-    It walks down from each spring until another branch is missing. Overwrites `donors`. `area`: first the weights of
-    samples, then their sums over all upstream samples; none if it is empty.
+    From each sample without donors it walks down until it meets one whose other donors are not yet in the order; the
+    last of them goes on from there. Overwrites `donors`. `area`: first the weights of samples, then their sums over all
+    upstream samples; if it is empty, no sums are computed.
     """
     walk_downstream(d)

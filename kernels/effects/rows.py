@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Arrays of a raster's drainage, and C snippets for the loops of routing over all samples.
 
-tests/kernels/test_routing_rows.py has each of them in Python. No statement has a product and a sum, which some
+The receiver is the neighbour that a sample drains to; `to` has its direction, 3 * (dy + 1) + dx + 1, and 4 for a root.
+tests/kernels/test_routing_rows.py has each snippet in Python. No statement has a product and a sum, which some
 processors would fuse and round differently. Nanoseconds for a sample of the island at 1025 x 1025, in C and in Warp:
 receivers 1.3 and 18, donors 0.2 and 11, passes 3 and 11, pits 1 and 7, basins 7 and 10, order with areas 9 and 12.
 """
@@ -24,12 +25,12 @@ class Grid:
 
 @wp.struct
 class DrainageArrays:
-    """A raster and its drainage, [n]; see routing.py and catchment.py."""
+    """A raster and its drainage; arrays have an entry for each of its n samples, row by row."""
 
     grid: Grid
     h: wp.array(dtype=wp.float32)  # metres
     base: wp.array(dtype=wp.uint8)  # 1 where water leaves
-    to: wp.array(dtype=wp.uint8)  # direction of the receiver
+    to: wp.array(dtype=wp.uint8)  # direction of the receiver: 3 * (dy + 1) + dx + 1; 4 for a root, which has none
     label: wp.array(dtype=wp.int32)  # number of the basin
     donors: wp.array(dtype=wp.uint8)  # number of donors
     order: wp.array(dtype=wp.int32)  # samples, donors before receivers
@@ -77,9 +78,10 @@ class DrainageArrays:
 def find_receivers_of_row(
     d: DrainageArrays, y: int, inverse_distance: wp.vec3f, lowest: wp.float32, step: wp.float32, noise: wp.uint32
 ):
-    """Find the receivers of row y: steepest descents, each slope times a random factor, see ReceiverNoise.
+    """Find the receivers of row y: steepest descents, each slope times a random factor.
 
-    inverse_distance: 1 / distance by axis. A factor is lowest + step * byte, the bytes from hashes of noise + column.
+    inverse_distance: 1 / metres to a neighbour east-west, north-south and on a diagonal. A factor is lowest + step *
+    byte, the bytes from hashes of noise + column. Samples of `d.base` and those without a lower neighbour become roots.
     """
     ...
 
@@ -225,7 +227,8 @@ def list_passes_of_row(d: DrainageArrays, y: int, at: wp.int64, edge: wp.array(d
 def walk_downstream(d: DrainageArrays):
     """Fill `order` with donors before receivers, and add the area of each sample, if there are any, to its receiver's.
 
-    It walks down from every spring, and stops where another donor is still missing. Overwrites `donors`.
+    It walks down from every spring, a sample without donors, and stops at a sample with a donor that is not yet in
+    `order`. Overwrites `donors`: numbers of those that are not, and 255 for a sample in `order`.
     """
     ...
 
@@ -312,7 +315,7 @@ def sort_passes_from_bottom(
     """Sort `count` passes stably by their heights, those of the higher sample in `d.h`, the lowest first.
 
     A pass is a pair of neighbours. numbers: the passes as 4 * sample + k, sorted in place; the other sample is the next
-    one in the row (k = 0), or in the next row one column before, in the same, or one after it (k = 1, 2, 3). The other
-    arguments are those of `sort_from_top`.
+    one in the row (k = 0), or in the next row one column before, in the same, or one after it (k = 1, 2, 3). scratch,
+    upper_halves: [count], overwritten. starts: [2 * 65536] zeros, overwritten.
     """
     ...

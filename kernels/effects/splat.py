@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Weights of splat layers at points by their rules; see cbt_terrain/attributes/splat_rules.py.
 
-Weights are multiples of 2^-24 that add up to 1, so that any sum of them is exact in float32.
+A splat layer is a material; its weight at a point is the fraction of the ground that it covers there. Weights are
+multiples of 2^-24 that add up to 1, so that any sum of them is exact in float32.
 """
 
 import warp as wp
@@ -138,7 +139,7 @@ def noise_of(layer: SplatLayer, x: wp.float64, y: wp.float64, footprint: wp.floa
 def image_at(images: wp.array(dtype=wp.float32), r: SplatRule, u: wp.float64, v: wp.float64) -> wp.float32:
     """Return a rule's image at (u, v), 0 .. 1 over the image, bilinearly between the centres of its pixels.
 
-    images: pixels of all images.
+    images: pixels of all images, row by row; those of the rule's image begin at r.at.
     """
     x = wp.clamp(u * wp.float64(r.columns) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.columns - 1))
     y = wp.clamp(v * wp.float64(r.rows) - wp.float64(0.5), wp.float64(0.0), wp.float64(r.rows - 1))
@@ -179,7 +180,8 @@ def covers_at(s: Splat, v: wp.int32, x: wp.float64, y: wp.float64, footprint: wp
     """Return each layer's cover at point v before layers share the ground: its strength times its rules' weights.
 
     x, y: position of the point, metres from the raster's south-west corner. footprint: metres that a pixel covers. A
-    rule of kind LAYER reads the cover of a layer before its own. Entries beyond the layers are 0.
+    rule reads what its kind says, at `at`: a row of s.values, the cover of a layer before its own (LAYER), an image
+    (IMAGE) or the layer's noise (NOISE). Entries beyond the layers are 0.
     """
     covers = Weights()
     for number in range(s.layer_count):
@@ -263,8 +265,8 @@ def splats(
 ):
     """Compute the weights of all splat layers at point `offset + tid`.
 
-    positions: metres. levels: log2 of the samples that a pixel covers at each point. wanted: bit k requests layers 4 k
-    .. 4 k + 3, written to out_(k + 1).
+    s: the layers, and the values that their rules read. positions: metres. levels: log2 of the samples that a pixel
+    covers at each point. wanted: bit k requests layers 4 k .. 4 k + 3, written to out_(k + 1): out_1, out_2, out_3.
     """
     v = offset + wp.tid()
     x = wp.float64(positions[v][0]) - s.west

@@ -46,12 +46,15 @@ class Sweep:
 @wp.func_native(
     """
 #pragma clang fp contract(off)
+    // Lines run along the major direction, k = 0 .. n - 1, at the minor position line + phase + slope * k, 0 .. m - 1.
     const int n = s.major, m = s.minor, on = s.backwards ? 1 : -1;
     const long long across = s.minor_stride, along = s.major_stride;
     double *z = s.profiles.data + (long long)item * n;
     int *hull = s.hulls.data + (long long)item * n;
+    // The horizons of the last line and of this one.
     float *before = s.slopes.data + (long long)item * 2 * n, *now = before + n;
     const int end = (item + 1) * LINES < s.lines ? (item + 1) * LINES : s.lines;
+    // A group repeats the last line of the one before it, for the samples between that and its own first line.
     for (int l = item ? item * LINES - 1 : 0; l < end; l++) {
         const int line = s.first + l;
         int corners = 0;
@@ -143,9 +146,10 @@ class Sky:
 def add_sky_of_row(sky: Sky, y: int):
     """Add to `sky.out` the visible part of the sky in one azimuth, times `share`, for the samples of row y.
 
-    The horizon is `sky.horizons`, metres a metre. The formula is that of `open_fraction` in light.py, vectorized in
-    single precision, which takes a tenth of the time. Slopes of the ground are central differences, one-sided at the
-    border.
+    The horizon is `sky.horizons`, metres a metre. The part is 2 * integral of max(n . w, 0) cos e de over elevations e
+    from the horizon to the zenith; n: the ground's normal, w = (cos e azimuth, sin e). This is `open_fraction` in
+    light.py, vectorized in single precision, which takes a tenth of the time. Slopes of the ground are central
+    differences, one-sided at the border.
     """
     ...
 

@@ -23,7 +23,7 @@ def texel_places(offset: int, first: int, ground: Pyramid, texels: Texels, out: 
     """Write to out[offset + tid] the position on the ground, metres, of texel `first + offset + tid` of an image.
 
     Heights are bilinear between samples, scaled and without displacement; texels beyond the raster get its border.
-    Texels are numbered row by row from the north-west.
+    Texels are numbered row by row from the north-west; (texels.west, texels.north) is the centre of the first one.
     """
     i = offset + wp.tid()
     texel = first + i

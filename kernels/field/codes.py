@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compact storage of heights as a source's 16-bit numbers, and of errors as bytes of a table."""
+"""Compact storage of heights as a source's 16-bit numbers, and of errors as bytes of a table.
+
+A sample is a float or, if the samples are `coded`, a number of the source: (number + first) * scale + offset metres. An
+error is a byte, the entry of a table of 256 errors in metres, of which each group of depths has one.
+"""
 
 import warp as wp
 
@@ -71,7 +75,10 @@ def twist_of(corners: wp.vec4d) -> wp.float64:
 
 @wp.func
 def bilinear(corners: wp.vec4d, s: wp.float64, t: wp.float64) -> wp.float64:
-    """Return the height of the bilinear patch with these corners, s cells east and t cells north of the first."""
+    """Return the height of the bilinear patch s cells east and t cells north of its south-west corner, metres.
+
+    corners: heights in the order south-west, south-east, north-west, north-east.
+    """
     one = wp.float64(1.0)
     south = corners[0] * (one - s) + corners[1] * s
     north = corners[2] * (one - s) + corners[3] * s
@@ -91,9 +98,10 @@ def prefetch_sample(s: Samples, i: wp.int64):
 def error_of(
     table: wp.array(dtype=wp.float32), group: wp.int32, codes: wp.array(dtype=wp.uint8), i: wp.int64
 ) -> wp.float32:
-    """Return the metres that code `i` stands for: an entry of the table of 256 values of a group of depths.
+    """Return the metres that code `i` stands for.
 
-    Groups and their tables: see cbt_terrain/field/codes.py.
+    table: 256 values for each group of depths of the hierarchy, one after the other. group: that of the code. codes:
+    one byte each.
     """
     return item_at(table, wp.int64((group << 8) + wp.int32(item_at(codes, i))))
 

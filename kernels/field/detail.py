@@ -3,6 +3,9 @@
 
 Positions are metres from the raster's middle in float64, so precision does not depend on the distance. Heights are
 metres before vertical scaling. kernels/accuracy/detail.py evaluates the same surface with other arithmetic.
+
+The numbers of a layer: `frequency`, lattice points or pixels a metre of the first octave or the image; `amplitude`,
+metres; `gain`, factor on the amplitude from an octave to the next.
 """
 
 import warp as wp

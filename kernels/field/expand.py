@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels that raise the codes of an error hierarchy, for leaves that are drawn finer.
 
-A code is translated from the table of one group of depths to that of another by a table of 256 codes (codes.py).
+An error is stored as a code, one byte: an entry of a table of 256 errors, of which each group of depths has one. A code
+is translated from one group's table to another's by a table of 256 codes.
 """
 
 import warp as wp
@@ -47,8 +48,8 @@ def raise_cells(
 
     The neighbours share the diamonds on a cell's sides. The thread works on cell `band_start + offset + tid`.
     band_start: first cell of the band of rows that is raised, counted row by row from the south. old_cells: layout of
-    the array `old`. translated: for each old code the code in the new table of a share of its error, rounded up
-    (`_raise_cells` in meshlet_errors.py).
+    the array `old`. translated: for each old code the code of a quarter of its error in the new table (of a half on a
+    bicubic surface), rounded up.
     """
     p = diamond(cells, band_start + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))

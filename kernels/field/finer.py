@@ -3,6 +3,13 @@
 
 `cbt_terrain/field/finer_tiles.py` makes them. The *change* is the surface of the tiles less the bilinear one of the
 raster, 0 outside of tiles. It counts as a displacement: its errors and slopes are added to those of the raster.
+
+A diamond is the pair of triangles that share a longest edge; its *vertex* is the middle of that edge. Vertices are
+stored in *groups* of four depths: group g has the finer samples at multiples of 4^g but not of 4^(g+1). Tiles have SIDE
+x SIDE finer cells. `finer.heights` has them one above the other, STRIDE rows each, with a row and a column more before
+the first of a tile.
+
+The errors of a tile are ERRORS codes, entries of `finer.table`: of diamonds first, of its finer cells from CELLS on.
 """
 
 import warp as wp
@@ -59,7 +66,7 @@ def tile_at(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.int32:
 
 @wp.func
 def finer_corners(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32) -> wp.vec4d:
-    """Return the heights at the corners of finer cell (i, j) of a tile, as `corners_of`."""
+    """Return the heights at the corners of finer cell (i, j): south-west, south-east, north-west, north-east."""
     return corners_of(finer.heights, 1 + (i & (SIDE - 1)), tile * STRIDE + 1 + (j & (SIDE - 1)))
 
 
@@ -78,7 +85,7 @@ def finer_at(finer: PackedTiles, tile: wp.int32, i: wp.int32, j: wp.int32, s: wp
 def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.float32:
     """Return the stored error, metres, of the change at the diamond with its vertex at finer sample (i, j).
 
-    It is 0 without a tile. group: of depths, 0 for the finest cells of 2 x 2.
+    It is 0 without a tile. group: that of the diamond's depth, 0 for the finest.
     """
     tile = tile_at(finer, i, j)
     error = wp.float32(0.0)
@@ -92,11 +99,11 @@ def stored_change(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32)
 def entry_in_tile(i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
     """Return the number of an error in its tile: that of the diamond with its vertex at finer sample (i, j).
 
-    group: of depths, 0 for the finest cells of 2 x 2.
+    group: that of the diamond's depth, 0 for the finest.
     """
-    x = (i & (SIDE - 1)) >> (2 * group)
+    x = (i & (SIDE - 1)) >> (2 * group)  # vertices of a group are 4^group samples apart
     y = (j & (SIDE - 1)) >> (2 * group)
-    # Entries of the groups before: 256 x 256 and 64 x 64.
+    # Entries of the groups before: none, 256 x 256, and 64 x 64 more.
     first = wp.where(group == 0, 0, wp.where(group == 1, 65536, 69632))
     # Pages of 32 x 32 entries in a row of the group; the last group has 16 x 16 entries in one page.
     return wp.int64(first) + tile_index(x, y, wp.where(group == 0, 8, wp.where(group == 1, 2, 1)))
@@ -106,7 +113,7 @@ def entry_in_tile(i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
 def stored_bound(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.float32:
     """Return the stored error, metres, of a bicubic surface at the diamond with its vertex at finer sample (i, j).
 
-    It is infinite where tiles do not cover the diamond's box. group: of depths, 0 for the finest cells of 2 x 2.
+    It is infinite where tiles do not cover the diamond's box. group: that of the diamond's depth, 0 for the finest.
     """
     tile = tile_at(finer, i, j)
     bound = wp.float32(wp.inf)
@@ -132,8 +139,8 @@ def cell_change(finer: PackedTiles, i: wp.int32, j: wp.int32) -> wp.float32:
 def range_in_tile(finer: PackedTiles, i: wp.int32, j: wp.int32, group: wp.int32) -> wp.int64:
     """Return the index in `finer.ranges` of the lower height code of the diamond with its vertex at finer sample i, j.
 
-    The upper code follows. The index is -1 without a tile. group: of depths, 0 for cells of 4 x 4 and 8 x 8 finer
-    cells, whose vertices are 2 samples apart, 1 for cells four times as wide, and so on.
+    The upper code follows. The index is -1 without a tile. group: here 0 for cells of 4 x 4 and 8 x 8 finer cells,
+    whose vertices are 2 samples apart, 1 for cells four times as wide, and so on.
     """
     tile = tile_at(finer, i, j)
     index = wp.int64(-1)

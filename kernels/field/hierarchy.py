@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the error hierarchy of a raster; cbt_terrain/field describes the method.
 
+A *diamond* is the pair of triangles that share a longest edge. Its *error* is the largest distance of the surface from
+these triangles, and not less than those of its children, the diamonds on their other edges.
+
 Branch and bound finds the largest distance of a surface from a triangle: a block of samples is read only if it may be
 farther away than the diamond's children and the blocks that were read before.
 
@@ -22,7 +25,7 @@ def round_up(value: wp.float64):
     """Return the smallest float32 that is not below a non-negative float64."""
     single = wp.float32(value)
     if wp.float64(single) < value:
-        single = wp.cast(wp.cast(single, wp.int32) + 1, wp.float32)
+        single = wp.cast(wp.cast(single, wp.int32) + 1, wp.float32)  # the next float32: its bits as a number, plus 1
     return single
 
 
@@ -67,7 +70,8 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
     """Compute the largest distance of the samples in each whole block of row `offset + tid` from the block's patch.
 
     The patch is the bilinear surface through the block's corners. Distances are metres, rounded up. measured: samples,
-    NaN where they do not count. A block with a corner that is NaN gets any number.
+    NaN where they do not count. A block with a corner that is NaN gets any number. patches.metres: a distance for each
+    block of BLOCK x BLOCK cells, patches.columns in a row.
     """
     row = offset + wp.tid()
     h = measured.floats
@@ -119,15 +123,16 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
             const float* far = near + step_x - step_y;
             const double e1 = *far - (top + across * (i + 1));
             const double twist = (double)*near + *far - near[step_x] - near[-step_y];
-            // The distance is a parabola between the two samples; where it turns between them, it counts.
-            const double rest = twist - (e1 - e0), turned = wp::abs(e0 - rest * rest / (4.0 * twist));
+            // Between the two samples the distance is the parabola e0 - fall t + twist t^2, t = 0 .. 1. Where it turns,
+            // at t = fall / (2 twist), it counts.
+            const double fall = twist - (e1 - e0), turned = wp::abs(e0 - fall * fall / (4.0 * twist));
             const bool turns = wp::abs(e1 - e0) < wp::abs(twist);  // a jump would often be predicted wrongly
             largest = (turns & (turned > largest)) ? turned : largest;
             near = far;
             e0 = e1;
         }
     };
-    if (legs == 2 && begin_x == 0 && begin_y == 0 && end_x >= 2 && end_y >= 2) {  // most triangles: ends are known
+    if (legs == 2 && begin_x == 0 && begin_y == 0 && end_x >= 2 && end_y >= 2) {  // most triangles: fixed loops
         for (int j = 0; j < 2; ++j)
             for (int i = 0; i <= 2 - j; ++i) {
                 const double on_plane = plane + slope[1] * j + slope[0] * i;
@@ -148,9 +153,11 @@ def patch_distances(offset: int, measured: Samples, patches: PatchDistances):
                     continue;
                 bool must_measure = i < begin_x || i + size > end_x || j < begin_y || j + size > end_y;
                 if (!must_measure) {
+                    // To the west or south of the corner the first block is the one before it.
                     const long long block_column = x / size + (right > 0 ? block_x : -1 - block_x);
                     const long long block_row = y / size + (up > 0 ? block_y : -1 - block_y);
                     const double off_patch = patches.metres.data[block_row * patches.columns + block_column];
+                    // Skip the block if the bounds at its corners, see PatchDistances, are not above `largest`.
                     for (int k = 0; k < 4; ++k) {
                         const int corner_x = i + (k & 1) * size, corner_y = j + (k >> 1) * size;
                         const double on_plane = plane + slope[1] * corner_y + slope[0] * corner_x;
@@ -205,11 +212,12 @@ def centre_errors(
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
     largest of its children's errors if that is more. finer, coarser: layouts of the children's depth and of the
-    diamonds' own. root: 1 if these cells are the root squares. raster: heights of the triangles' corners. measured,
-    patches: as in `corner_error`.
+    diamonds' own. root: 1 if these cells are the root squares. raster: heights of the triangles' corners. measured:
+    samples, NaN where they do not count. patches: bounds by block of samples.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
-    is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1  # direction of the diagonal with the triangles' corners
+    # Direction of the diagonal with the two right angles. Below the roots it alternates from cell to cell.
+    is_northeast = root == 1 or ((p[0] + p[1]) & 1) == 1
     n = wp.float64(side)
     largest = wp.float64(largest_below(errors, finer, coarser, p))
     for k in range(2):
@@ -237,11 +245,12 @@ def side_errors(
     coarser: Depth,
     errors: wp.array(dtype=wp.float32),
 ):
-    """Compute the errors of diamonds at the middles of cells' sides, `half` samples from the side's ends.
+    """Compute the errors, metres, of diamonds at the middles of cells' sides, `half` samples from the side's ends.
 
     The error of diamond `offset + tid` becomes the largest distance of the surface from its two triangles, or the
     largest of its children's errors if that is more. The side's middle splits each triangle into two with their right
-    angles there. At the border there is one triangle. Arrays and layouts: as in `centre_errors`.
+    angles there; at the border there is one triangle. finer, coarser: layouts of the children's depth and of the
+    diamonds' own. raster: heights of corners. measured: samples, NaN where they do not count. patches: bounds by block.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if not holds(coarser, p):
@@ -281,7 +290,8 @@ def side_errors(
 def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Write to `errors` a quarter of the twist, metres, of each cell of row `offset + tid`; 0 if a sample is NaN.
 
-    It is the largest distance of the bilinear cell from its two triangles. cells: layout of `errors`.
+    It is the largest distance of the bilinear cell from its two triangles. measured: samples, NaN where they do not
+    count. cells: layout of `errors`.
     """
     h = measured.floats
     cy = offset + wp.tid()
@@ -303,7 +313,8 @@ def twists(offset: int, measured: Samples, cells: Depth, errors: wp.array(dtype=
 def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
     """Raise each cell of row `offset + tid` in `errors` to at least `part` of its western and eastern neighbours.
 
-    One pass goes east, one back west, so a value reaches all cells, times `part` for each step.
+    So a cell's error also bounds diamonds that extend from it into the next cell. One pass goes east, one back west, so
+    a value reaches all cells, times `part` for each step. part: 1/4, or 1/2 for curvatures. errors: metres.
     """
     cy = offset + wp.tid()
     last = wp.float32(0.0)
@@ -319,7 +330,7 @@ def saturate_rows(offset: int, part: wp.float32, cells: Depth, errors: wp.array(
 
 @wp.kernel
 def saturate_columns(offset: int, block: int, part: wp.float32, cells: Depth, errors: wp.array(dtype=wp.float32)):
-    """Raise each cell's error to at least `part` of that of its southern and northern neighbours.
+    """Raise each cell's error to at least `part` of that of its southern and northern neighbours, as `saturate_rows`.
 
     The thread works on block `offset + tid` of `block` columns, from south to north and back.
     """

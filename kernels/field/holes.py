@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors that refine the borders of holes down to the raster's cells: see cbt_terrain/field/holes.py.
 
-`kinds` are bits of the cells below a diamond: GROUND, HOLE or both, in the order of `cbt_terrain/field/lattice.py`, and
-0 where there is no entry or no raster.
+A diamond is the pair of triangles that share a longest edge. `kinds` are bits of the cells below a diamond: GROUND,
+HOLE or both, in the order of `cbt_terrain/field/lattice.py`, and 0 where there is no entry or no raster.
 """
 
 import warp as wp

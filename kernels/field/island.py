@@ -3,7 +3,7 @@
 
 It uses only additions, multiplications, divisions, square roots and hashes of integers, so the same seed gives the same
 bits on every machine, and a point of the plane has the same height at every resolution. Lengths, heights and other
-numbers are chosen by their looks.
+numbers are chosen by their looks. Another `seed` gives another island.
 """
 
 import warp as wp

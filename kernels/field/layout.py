@@ -1,5 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Layout of diamonds in the error hierarchy and the height ranges: see `cbt_terrain/field/lattice.py`."""
+"""Layout of diamonds in the error hierarchy and the height ranges: see `cbt_terrain/field/lattice.py`.
+
+A *diamond* is the pair of triangles that share a longest edge, in the middle of which both are split. Diamonds of four
+depths make a *group*, which is stored as an image of these middles. A diamond's children are those of the next depth
+that are split in the middles of its triangles' other edges. Of a Depth: `sides` is 1 if its diamonds are centred on the
+sides of `columns` x `rows` cells, at (x, y) with x + y odd, in steps of half a side; it is 0 if they are those of the
+cells.
+"""
 
 import warp as wp
 
@@ -11,6 +18,7 @@ def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:
     Pages of 32 x 32 vertices are row-major in the group, tiles of 4 x 4 row-major in a page, vertices in a tile.
     """
     page = wp.int64(y >> 5) * wp.int64(pages) + wp.int64(x >> 5)
+    # Bits 2 .. 4 of x and y choose the tile in its page, the lowest two the vertex in its tile.
     inside = ((y & 28) << 5) | ((x & 28) << 2) | ((y & 3) << 2) | (x & 3)
     return (page << wp.int64(10)) | wp.int64(inside)
 

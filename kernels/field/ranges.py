@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the ranges of heights: two uint16 that enclose every diamond of cells of 4 x 4 samples and more.
 
+A diamond is the pair of triangles that share a longest edge; its *box* contains them and all diamonds below.
+
 A height, in metres before vertical scaling, is `base + q * step`; the lower number is rounded down and the upper one
 up, so the range encloses. `ranges` are flat: lower and upper of a diamond are adjacent, diamonds in the order of
 `cbt_terrain/field/lattice.py`.
+
+REACH: half of the side of the box of a finest diamond, in samples.
 """
 
 import warp as wp
@@ -95,7 +99,7 @@ def finest_ranges(
     # first column, [2] and [3] those of all.
     strip1 = wp.vec4f()
     strip2 = wp.vec4f()
-    first_x = 1 - (y & 1)
+    first_x = 1 - (y & 1)  # diamonds are where x + y is odd
     for x in range(first_x - REACH, finest.columns + 1, 2):  # x counts every other sample
         strip3 = limits_of_columns(raster, west + 2 * x + REACH, first_row, last_row)
         if x >= first_x:  # the two rounds before only fill strips

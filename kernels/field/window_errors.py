@@ -3,7 +3,10 @@
 
 The plane of such a triangle is evaluated with the same operations as in `hierarchy.py`, so the largest result of all
 windows is the result for the whole raster, bit by bit. So are the twists of cells. Heights and errors are metres before
-vertical scaling.
+vertical scaling. Errors of cells are saturated: each is at least `part`, a quarter, of those of the four neighbours, so
+that it also bounds diamonds that extend from the cell into the next one. The *twist* of a cell is the sum of two
+opposite corners' heights minus that of the other two; a quarter of its magnitude is the largest distance of the
+bilinear cell from its two triangles.
 """
 
 import warp as wp
@@ -81,8 +84,9 @@ def window_errors(
     """Raise `largest` of row `offset + tid` to the largest distance, metres, of the surface from a triangle's plane.
 
     measured: a window of the raster, NaN where samples do not count. (west, south): its first sample. corner: the
-    triangle, which may extend beyond the window; `right` and `up`, 1 or -1, are the directions of its legs. A cell that
-    the longest edge crosses counts only if the window has all four of its samples.
+    triangle, which may extend beyond the window: its right angle (x, y) in samples of the raster, legs of `legs`
+    samples in the directions `right` and `up` (1 or -1), and its plane, of height `plane` there. A cell that the
+    longest edge crosses counts only if the window has all four of its samples.
     """
     row = offset + wp.tid()
     c = corner
@@ -108,6 +112,7 @@ def window_errors(
     if i >= 0 and i < c.legs and cell_x >= west and cell_x + 1 < west + width and row + 1 < measured.rows:
         top = c.plane + c.slope_y * wp.float64(c.up * c.legs)
         edge_slope = c.slope_x * wp.float64(c.right) - c.slope_y * wp.float64(c.up)
+        # The cell's samples: `index` and `far_index`, on the edge, and the other two.
         index = start + edge_x - west
         if c.up > 0:
             index = index + width
@@ -119,10 +124,10 @@ def window_errors(
         twist = (
             wp.float64(h[index]) + wp.float64(h[far_index]) - wp.float64(h[aside_index]) - wp.float64(h[below_index])
         )
-        # the distance is a parabola between the samples; it counts if it turns there
+        # Between the samples the distance is the parabola e0 - fall t + twist t^2; it counts if it turns there.
         if wp.abs(e1 - e0) < wp.abs(twist):
-            rest = twist - (e1 - e0)
-            max_distance = wp.max(max_distance, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+            fall = twist - (e1 - e0)
+            max_distance = wp.max(max_distance, wp.abs(e0 - fall * fall / (wp.float64(4.0) * twist)))
     largest[row] = max_distance
 
 
@@ -143,7 +148,10 @@ def window_errors(
     }
 """)
 def twist_row(measured: Samples, y: int, columns: int, rows: wp.array(dtype=wp.float32)):
-    """Write a quarter of the twist of each cell of row y to `rows`, which has `columns` cells in a row."""
+    """Write a quarter of the twist, metres, of each cell of row y to `rows`, which has `columns` cells in a row.
+
+    measured: samples of the window, NaN where they do not count; such a cell gets 0.
+    """
     ...
 
 
@@ -161,7 +169,10 @@ def twist_row(measured: Samples, y: int, columns: int, rows: wp.array(dtype=wp.f
     }
 """)
 def saturate_eight_rows(y: int, part: wp.float32, columns: int, rows: wp.array(dtype=wp.float32)):
-    """Raise each cell of ROWS rows from row y on to at least `part` of its western and eastern neighbours."""
+    """Raise each cell of ROWS rows from row y on to at least `part` of its western and eastern neighbours.
+
+    rows: errors of the window's cells, metres, with `columns` cells in a row.
+    """
     ...
 
 
@@ -175,7 +186,10 @@ def saturate_eight_rows(y: int, part: wp.float32, columns: int, rows: wp.array(d
 def raise_row(
     from_row: int, to: int, begin: int, end: int, part: wp.float32, columns: int, rows: wp.array(dtype=wp.float32)
 ):
-    """Raise the cells `begin` to `end` of row `to` to at least `part` of those in row `from_row`."""
+    """Raise the cells `begin` to `end` of row `to` to at least `part` of those in row `from_row`.
+
+    rows: errors of the window's cells, metres, with `columns` cells in a row.
+    """
     ...
 
 
@@ -183,7 +197,7 @@ def raise_row(
 def window_twists(offset: int, measured: Samples, columns: int, rows: wp.array(dtype=wp.float32)):
     """Write to `rows` a quarter of the twist, metres, of each cell of row `offset + tid`; 0 if a sample is NaN.
 
-    columns: cells in a row of `rows`.
+    measured: samples of the window, NaN where they do not count. columns: cells in a row of `rows`.
     """
     twist_row(measured, offset + wp.tid(), columns, rows)
 

@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From a welded mesh to one that is fitted, and the heights and states that the next one starts with."""
+"""From a welded mesh to one that is fitted, and the heights and states that the next one starts with.
+
+Of the mesh m (FitMesh) these arrays are written: `point`, lattice positions of the vertices; `z`, their heights, metres
+after vertical scaling; `state`, bits KNOWN (in the mesh before) and PINNED (not to be moved); `first`, a triangle of
+each vertex; `neighbours`, the triangle across the edge from each corner to the next. A root square of the lattice has
+2^levels cells and 2^unit_bits units a side.
+"""
 
 import warp as wp
 
@@ -65,12 +71,12 @@ def link_triangles(triangles: int, m: FitMesh, corner_edges: wp.array(dtype=wp.i
         m.first[m.corner_verts[c]] = c / 3
         edge = corner_edges[c]
         other = side[edge]
-        m.beside[c] = -1
+        m.neighbours[c] = -1
         if other < 0:
             side[edge] = c
         else:
-            m.beside[c] = other / 3
-            m.beside[other] = c / 3
+            m.neighbours[c] = other / 3
+            m.neighbours[other] = c / 3
 
 
 @wp.kernel

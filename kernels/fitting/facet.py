@@ -2,8 +2,14 @@
 """A triangle of a mesh over the surface that it stands for, and the largest distance between the two.
 
 The difference of the bilinear surface from a plane has its extrema at samples, at the triangle's corners, and on the
-diagonals of cells along its sides: `farthest` evaluates all of them. Lengths are lattice units (Domain), heights metres
-before scaling, in float64: planes through float32 heights at power-of-two distances are exact.
+diagonals of cells along its sides: `farthest` evaluates all of them. Lengths are lattice units, heights metres before
+scaling, in float64: planes through float32 heights at power-of-two distances are exact.
+
+Of the domain d: a root square has 2^levels cells and 2^unit_bits units a side; the raster ends at the units `east` and
+`north`, beyond which the lattice has only padding.
+
+A Facet has its apex, with the right angle, at (x, y) and the height z; (left_x, left_y) and (right_x, right_y) are the
+vectors from the apex to the other two corners; slope_x, slope_y: metres a unit.
 """
 
 import warp as wp
@@ -30,7 +36,7 @@ class Facet:
 
 @wp.func
 def surface_height(d: Domain, x: wp.int32, y: wp.int32) -> wp.float64:
-    """Return the height of the surface at lattice point (x, y), metres before scaling; level beyond the border."""
+    """Return the surface's height at lattice point (x, y), metres before scaling; that of the border beyond it."""
     bits = d.unit_bits - d.levels
     x = wp.min(x, d.east)
     y = wp.min(y, d.north)
@@ -134,8 +140,8 @@ def row_error(
 ) -> wp.float64:
     """Return the largest distance, metres, of `count` samples in a row from a plane.
 
-    first: index of the first sample. plane: height of the plane at it. slope: the plane's metres a sample along the
-    row. NaN samples do not count.
+    h: samples of the raster. first: index of the first one. plane: height of the plane at it. slope: the plane's metres
+    a sample along the row. NaN samples do not count.
     """
     largest = wp.float64(0.0)
     for i in range(count):
@@ -194,10 +200,10 @@ def diagonal_inside(
             z1 = wp.float64(item_at(h, far_index))
             e1 = z1 - (plane + slope * wp.float64(i + 1))
             twist = z0 + z1 - wp.float64(item_at(h, index + to_side)) - wp.float64(item_at(h, index + to_row))
-            # the parabola turns inside the cell
+            # The parabola e0 - fall t + twist t^2 turns inside the cell.
             if wp.abs(e1 - e0) < wp.abs(twist):
-                rest = twist - (e1 - e0)
-                largest = wp.max(largest, wp.abs(e0 - rest * rest / (wp.float64(4.0) * twist)))
+                fall = twist - (e1 - e0)
+                largest = wp.max(largest, wp.abs(e0 - fall * fall / (wp.float64(4.0) * twist)))
             z0 = z1
             e0 = e1
             index = far_index

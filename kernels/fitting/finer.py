@@ -3,6 +3,9 @@
 
 A fit moves and measures the raster's surface alone. The distance of a triangle is then the sum of two: that of its
 fitted heights from the raster's surface, measured, and the stored error of the change over it.
+
+Of the domain d: a root square has 2^levels cells and 2^unit_bits lattice units a side, and a raster cell has
+2^finer[0].bits finer cells a side.
 """
 
 import warp as wp
@@ -69,8 +72,9 @@ def restore_in_tiles(
 ):
     """Raise errors `out` of cells of row `offset + tid` to `errors`, where a finer tile holds the cell.
 
-    errors: stored errors of the cells. out: those that the walk of a fit reads, which are lower or rounded. Both are
-    metres before scaling. cells: layout of both.
+    A fit rounds the errors that its walk reads to the nearest code. In tiles the walk must split whatever a mesh
+    without a fit splits, so there they must not be below the stored ones. errors: stored errors of the cells. out:
+    those that the walk reads. Both are metres before scaling. cells: layout of both.
     """
     j = offset + wp.tid()
     for i in range(cells.columns):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The mesh of a fit: welded triangles that know their neighbours, and are bisected in place.
+"""The mesh m of a fit: welded triangles that know their neighbours, and are bisected in place.
 
 Corners of a triangle, counter-clockwise: left, apex, right; its longest edge is the one from right to left. Arrays have
-room for triangles and vertices to come.
+room for triangles and vertices to come. `corner_verts` [3 T] has the vertices of triangles; of a vertex, `point` is its
+position in lattice units and `z` its height, metres after vertical scaling.
 """
 
 import warp as wp
@@ -26,10 +27,10 @@ class FitMesh:
     snap: wp.int32  # mesh vertices are multiples of 2**snap units
     error: wp.float64  # requested error of the criterion, metres
     bound: wp.float64  # metres of distance from the surface that a triangle may have
-    room: wp.int32  # triangles that the arrays have room for
+    capacity: wp.int32  # triangles that the arrays have room for
     round: wp.int32  # number of the round: sweeps that move vertices, then splits
     corner_verts: wp.array(dtype=wp.int32)  # [3 T]
-    beside: wp.array(dtype=wp.int32)  # [3 T] the triangle across the edge from a corner to the next, -1 at the border
+    neighbours: wp.array(dtype=wp.int32)  # [3 T] triangle across the edge from a corner to the next, -1 at the border
     level: wp.array(dtype=wp.int32)  # [T]
     worst: wp.array(dtype=wp.float64)  # [T] largest distance, metres after vertical scaling, or NOT_MEASURED
     seen: wp.array(dtype=wp.vec3f)  # [T] `z` of the corners when that was measured
@@ -111,10 +112,10 @@ def mark_around(m: FitMesh, v: wp.int32):
     turn = wp.int32(0)  # 0: on across the edge that begins at v; 2: across the one that ends there
     while t >= 0:
         mark(m, t)
-        t = m.beside[3 * t + (corner_of(m, t, v) + turn) % 3]
+        t = m.neighbours[3 * t + (corner_of(m, t, v) + turn) % 3]
         if t < 0 and turn == 0:  # at the border; now the other way round
             turn = 2
-            t = m.beside[3 * start + (corner_of(m, start, v) + turn) % 3]
+            t = m.neighbours[3 * start + (corner_of(m, start, v) + turn) % 3]
         elif t == start:
             t = -1
 
@@ -145,23 +146,23 @@ def put_on_surface(m: FitMesh, v: wp.int32):
 
 
 @wp.func
-def replace_beside(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
+def replace_neighbour(m: FitMesh, t: wp.int32, old: wp.int32, new: wp.int32):
     """Replace the neighbour `old` of triangle t by `new`; nothing happens if t is below 0, which is no triangle."""
     if t >= 0:
         for k in range(3):
-            if m.beside[3 * t + k] == old:
-                m.beside[3 * t + k] = new
+            if m.neighbours[3 * t + k] == old:
+                m.neighbours[3 * t + k] = new
 
 
 @wp.func
-def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, beside: wp.vec3i, level: wp.int32):
+def put_triangle(m: FitMesh, t: wp.int32, corners: wp.vec3i, neighbours: wp.vec3i, level: wp.int32):
     """Write triangle t with its corners (left, apex, right) and its level; it counts as not measured.
 
-    beside: the neighbours across the edges from each corner to the next, -1 at the border.
+    neighbours: those across the edges from each corner to the next, -1 at the border.
     """
     for c in range(3):
         m.corner_verts[3 * t + c] = corners[c]
-        m.beside[3 * t + c] = beside[c]
+        m.neighbours[3 * t + c] = neighbours[c]
     m.level[t] = level
     m.worst[t] = NOT_MEASURED
 
@@ -171,17 +172,17 @@ def bisect_triangle(m: FitMesh, t: wp.int32, new: wp.int32, middle: wp.int32, ac
     """Bisect triangle t at the vertex `middle` of its longest edge: t becomes its left half, `new` its right one.
 
     across, across_new: halves of the neighbour behind that edge: `across` is beside `new` and `across_new` beside
-    t; -1 at the border.
+    t; -1 at the border. m.first: a triangle of each vertex.
     """
     left = m.corner_verts[3 * t]
     apex = m.corner_verts[3 * t + 1]
     right = m.corner_verts[3 * t + 2]
-    beside_left_leg = m.beside[3 * t]
-    beside_right_leg = m.beside[3 * t + 1]
+    over_left_leg = m.neighbours[3 * t]
+    over_right_leg = m.neighbours[3 * t + 1]
     level = m.level[t] + 1
-    put_triangle(m, t, wp.vec3i(apex, middle, left), wp.vec3i(new, across_new, beside_left_leg), level)
-    put_triangle(m, new, wp.vec3i(right, middle, apex), wp.vec3i(across, t, beside_right_leg), level)
-    replace_beside(m, beside_right_leg, t, new)
+    put_triangle(m, t, wp.vec3i(apex, middle, left), wp.vec3i(new, across_new, over_left_leg), level)
+    put_triangle(m, new, wp.vec3i(right, middle, apex), wp.vec3i(across, t, over_right_leg), level)
+    replace_neighbour(m, over_right_leg, t, new)
     m.first[left] = t
     m.first[right] = new
     m.first[apex] = t
@@ -202,8 +203,8 @@ def split(m: FitMesh, t: wp.int32, size: wp.vec2i) -> wp.vec2i:
     m.splitting[0] = t
     while top > 0:
         triangle = m.splitting[top - 1]
-        partner = m.beside[3 * triangle + 2]
-        if partner >= 0 and m.beside[3 * partner + 2] != triangle:
+        partner = m.neighbours[3 * triangle + 2]
+        if partner >= 0 and m.neighbours[3 * partner + 2] != triangle:
             m.splitting[top] = partner  # the partner is coarser by one bisection, and is split first
             top += 1
         else:

@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels of the fit: triangles that are too far from the surface push their corners, and vertices move.
 
-The part of a point's distance beyond the aim pushes the three corners of its triangle, by their weights there; a vertex
-moves by the weighted mean of its pushes. Weights of a point add up to 1, so a step of less than twice that mean never
-leads away from heights that keep the bound, if there are any: simultaneous projections as in SIRT (Gilbert 1972;
-convergence in Censor and Elfving 2002). All moves of a sweep use the heights of the last one: no order, no history.
+The *aim* is AIM times the bound on distances. The part of a point's distance beyond the aim pushes the three corners of
+its triangle, by their weights there; a vertex moves by the weighted mean of its pushes. Weights of a point add up to 1,
+so a step of less than twice that mean never leads away from heights that keep the bound, if there are any: simultaneous
+projections as in SIRT (Gilbert 1972; convergence in Censor and Elfving 2002). All moves of a sweep use the heights of
+the last one: no order, no history.
 
 A triangle's distance from the surface is that from the raster's, measured, plus the stored error over the triangle of
 what finer tiles change (`missed_change` in finer.py).
 
 A sweep reads the listed triangles, of which a corner has moved, and measures one of them only if its corners moved by
 more than it was within the aim.
+
+Of the mesh m (FitMesh), by triangle: `active`, the list; `worst`, its distance from the surface, metres after scaling;
+`seen`, heights of its corners when that was measured; `pushes`, (push, weight) on each corner; `awake`, the last round
+in which it was measured or found beyond the bound. By vertex: `z`, its height; `push`, the sums of pushes and weights.
+`corner_verts` [3 T] has the vertices of triangles (left, apex, right), and `point` their positions, lattice units.
 """
 
 import warp as wp

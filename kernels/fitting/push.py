@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sweep's measurement of a triangle in single precision: its distance from the surface, and pushes on its corners."""
+"""A sweep's measurement of a triangle in single precision: its distance from the surface, and pushes on its corners.
+
+A *push* on a corner is the weighted sum of the distances by which points of the triangle are farther from the surface
+than the aim; the weights are those of linear interpolation between the corners.
+"""
 
 import warp as wp
 
@@ -19,12 +23,13 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
     const int bits = d.unit_bits - d.levels;
     const int apex_x = apex[0] >> bits, left_x = (left[0] - apex[0]) >> bits, right_x = (right[0] - apex[0]) >> bits;
     const int apex_y = apex[1] >> bits, left_y = (left[1] - apex[1]) >> bits, right_y = (right[1] - apex[1]) >> bits;
-    const int n = wp::max(wp::abs(left_x), wp::abs(left_y));
+    const int n = wp::max(wp::abs(left_x), wp::abs(left_y));  // cells along a leg, in x or y
     const float per_leg = 1.0f / ((float)left_x * (float)left_x + (float)left_y * (float)left_y);
     const float slope_x = (corner_climbs[0] * (float)left_x + corner_climbs[1] * (float)right_x) * per_leg;
     const float slope_y = (corner_climbs[0] * (float)left_y + corner_climbs[1] * (float)right_y) * per_leg;
-    const float high = (float)z;  // two numbers for the apex: heights are small beside it, not beside 0
-    const float rest = (float)(z - (double)high);
+    // The apex is high + low_part: float32 heights are compared with `high`, so that differences keep their digits.
+    const float high = (float)z;
+    const float low_part = (float)(z - (double)high);
     const bool level = left_x == 0 || left_y == 0;  // the legs lie along a row and a column
     const bool upright = left_x == right_x;  // the longest side lies along a column
     const lanes number = {0.0f, 1.0f, 2.0f, 3.0f, 4.0f, 5.0f, 6.0f, 7.0f};
@@ -42,7 +47,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         const int samples = !level && !upright ? 2 * away + 1 : n + 1 - away;
         const long long row = origin + (long long)y * width;
         const int last = wp::min(first + samples - 1, right_border);
-        const float base = rest + slope_y * (float)y;
+        const float base = low_part + slope_y * (float)y;
         for (int x = first; x <= last; x += 8) {
             long long from = row + x;
             lanes heights;
@@ -55,11 +60,12 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
             }
             const lanes at = number + (float)(from - row);
             const masks inside = (at >= (float)x) & (at <= (float)last);
+            // r: heights of the surface above the triangle; far: their magnitudes, 0 for samples outside the row.
             const lanes r = (heights - high) - (base + slope_x * at);
             const lanes far = (lanes)((masks)r & magnitude & inside);
             const masks more = far > largest;
             largest = (lanes)(((masks)far & more) | ((masks)largest & ~more));
-            const masks beyond = far > aim;
+            const masks beyond = far > aim;  // over: far - aim with the sign of r
             const lanes over = (lanes)(((masks)(far - aim) | ((masks)r & ~magnitude)) & beyond);
             const lanes hit = (lanes)(one & beyond);
             count += hit;
@@ -81,6 +87,7 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         int x = level ? left_x : 0, y = level ? left_y : 0;
         const int end_x = level || side ? right_x : left_x, end_y = level || side ? right_y : left_y;
         const int dx = end_x > x ? 1 : -1, dy = end_y > y ? 1 : -1;
+        // Cells skip .. end - 1 of the side are inside the border.
         const int skip = wp::max(wp::max(dx < 0 ? x - right_border : 0, dy < 0 ? y - upper_border : 0), 0);
         const int cells = wp::min(wp::abs(end_x - x), dx > 0 ? right_border - x : n);
         const int end = wp::min(cells, dy > 0 ? upper_border - y : n);
@@ -89,10 +96,10 @@ Pushes = wp.types.vector(length=7, dtype=wp.float32)
         x += skip * dx;
         y += skip * dy;
         long long at = origin + (long long)y * width + x;
-        float r0 = (data[at] - high) - (rest + slope_x * (float)x + slope_y * (float)y);
+        float r0 = (data[at] - high) - (low_part + slope_x * (float)x + slope_y * (float)y);
         for (int k = skip; k < end; ++k) {
             const long long across = at + dx, along = at + dy * width, next = along + dx;
-            const float r1 = (data[next] - high) - (rest + slope_x * (float)(x + dx) + slope_y * (float)(y + dy));
+            const float r1 = (data[next] - high) - (low_part + slope_x * (float)(x + dx) + slope_y * (float)(y + dy));
             const float twist = (data[at] - data[across]) - (data[along] - data[next]);
             const float turn = r1 - r0 - twist;
             const bool bent = (turn * twist < 0.0f) & (wp::abs(turn) < 2.0f * wp::abs(twist));

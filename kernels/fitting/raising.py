@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Errors that are raised so that the next walk splits a diamond; they stay nested."""
+"""Errors that are raised so that the next walk splits a diamond; they stay nested.
+
+The *walk* refines from the root triangles and splits each diamond whose stored error is too large. Errors are codes,
+one byte a diamond, which grow with their logarithm. They are nested if no diamond has a larger one than its parents. A
+root square of the domain d has 2^levels cells and 2^unit_bits lattice units a side.
+"""
 
 import warp as wp
 
@@ -25,12 +30,16 @@ class RaisedCodes:
 
     per_octave: wp.int32  # codes in an octave
     split: wp.int32  # code of twice the requested error; a diamond with it is split
-    more: wp.int32  # further cells around those of `raise_cells` whose codes are raised
+    more: wp.int32  # further steps from cell to cell that `raise_cells` goes; 0 without finer tiles
 
 
 @wp.func
 def entry_of(d: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.int64:
-    """Return the entry in the array of errors of the diamond split at (x, y), or of its cell if finer than cells."""
+    """Return the entry in the array of errors of the diamond at `depth` that is split at (x, y), lattice units.
+
+    It is that of the raster's cell for a diamond inside one. Entries of cells begin at d.cell_base and are in pages,
+    d.cell_pages of them in a row (`tile_index`).
+    """
     entry = d.cell_base
     if depth <= 2 * d.levels:  # not finer than cells
         entry = error_index(d, x, y, depth)
@@ -54,8 +63,9 @@ def raise_ancestors(
 ):
     """Raise the error codes of the diamond split at (x, y) and all its ancestors to `code`, so that errors stay nested.
 
-    An ancestor that has the code already ends the ascent: those above it have it, too. depth: of the diamond, at most
-    that of the raster's cells. codes: of the errors of all diamonds. stack: scratch.
+    A diamond's parents are those that are split at the apexes of its two triangles. An ancestor that has the code
+    already ends the ascent: those above it have it, too. depth: of the diamond, at most that of the raster's cells.
+    codes: of the errors of all diamonds. stack: scratch.
     """
     top = wp.int32(1)
     stack[0] = wp.vec3i(x, y, depth)
@@ -88,10 +98,12 @@ def raise_cells(
 ):
     """Raise the codes of cell (i, j) and cells around it: triangles in it are split even after `halvings` of its sides.
 
-    An error in a cell falls to a quarter with each halving, and is at least a quarter of the next cells' errors. One
-    cell more on every side is raised: a triangle with a quarter of a split's error may be split again; one with a
-    sixteenth never is, unless a change is added: hence `raised.more` further cells. halvings: at most MAX_HALVINGS.
-    codes: of the errors of all diamonds. stack: scratch.
+    The error of a cell's triangles falls to a quarter with each halving of their sides, so the code of the cell itself
+    is 2 octaves higher for each. A cell's error is at least a quarter of that of each neighbour: codes fall by 2
+    octaves a step, down to one step beyond the last cells with the code of a split. With finer tiles, whose change is
+    added to errors, they go on falling for `raised.more` steps. raised.split: code of an error that is certainly split;
+    raised.per_octave: codes in an octave. halvings: at most MAX_HALVINGS. codes: of the errors of all diamonds. stack:
+    scratch.
     """
     bits = d.unit_bits - d.levels
     reach = halvings + 1 + raised.more
@@ -102,6 +114,7 @@ def raise_cells(
             if steps_left >= 0 and inside:
                 x = ((i + a) << bits) + (1 << (bits - 1))
                 y = ((j + b) << bits) + (1 << (bits - 1))  # the cell's middle, at depth 2 * levels + 1
-                # The code of splits with one step left; two octaves, a factor of four, more for each further one.
+                # The code of splits with 1 + raised.more steps left; two octaves, a factor of four, more or less for
+                # each other number of steps.
                 code = raised.split + (steps_left - 1 - raised.more) * 2 * raised.per_octave
                 raise_ancestors(d, x, y, 2 * d.levels + 1, code, codes, stack)

@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where moving vertices is not enough: the fit splits triangles, or returns vertices to the surface."""
+"""Where moving vertices is not enough: the fit splits triangles, or returns vertices to the surface.
+
+The *walk*, which made the mesh, refines from the root triangles and splits each diamond whose stored error is too
+large; it runs again after the errors `m.codes` have been raised. Of the mesh m (FitMesh): `active`, the list of
+triangles to look at; `worst`, a triangle's distance from the surface, and `bound`, the largest allowed one, metres
+after scaling; `level`, its bisections, of which 2 levels + 1 lead to the raster's cells; `push`, two numbers a vertex,
+free for other uses here; `state`, whether a vertex is PINNED. `corner_verts` [3 T] has the vertices of triangles (left,
+apex, right), and `point` their positions, lattice units.
+"""
 
 import warp as wp
 
@@ -18,11 +26,11 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
     Interpolation is the mesh without a fit: all vertices on the surface. count: listed triangles. max_depth: level
     whose triangles are not split. min_share: split only triangles whose excess is at least this fraction of the largest
     among the triangles that they touch, since one split may help them all. `m.active` becomes the list for the next
-    sweep. Triangles above the raster's cells are split in place if there is room, those in cells only in `m.codes`, for
-    the next walk; not in finer tiles, where the walk has split what interpolation would split. `found` [7] receives the
-    numbers of listed triangles, of triangles and of vertices (the last two are also its input), of all splits, of
-    vertices that are new on the surface, of those splits that wait for the next walk, and of triangles too coarse at
-    the deepest level. One thread.
+    sweep. Triangles above the raster's cells are split in place if the arrays have room. For those in cells only the
+    errors `m.codes` are raised, so that the next walk splits them; but not in finer tiles, where the walk has already
+    split what interpolation would split. `found` [7] holds the numbers of triangles [1] and vertices [2], and receives
+    the numbers of triangles that are listed now [0], of triangles [1], vertices [2], splits [3], vertices put on the
+    surface [4], splits that wait for the next walk [5], and triangles too coarse at the deepest level [6]. One thread.
     """
     d = m.domain
     size = wp.vec2i(found[1], found[2])
@@ -41,15 +49,16 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
                 below = m.level[t] - 2 * d.levels - 1  # bisections below the raster's cells
                 cell = _cell_of(m, t)
                 error = _error_on_surface(m, t, below, cell)
-                # Float32 positions add at most rounding + max_lean to the error.
+                # Float32 positions add at most rounding + max_lean to the error. m.error: the requested error, metres.
                 too_coarse = metres2_of(d, error, d.rounding + d.max_lean) > m.error * m.error
                 can_split = m.level[t] < max_depth and not (below >= 0 and in_tile(d, cell[0], cell[1]))
                 if can_split and (too_coarse or _needs_split_on_surface(m, t, error)):
                     splits += 1
                     if below >= 0:
-                        raise_cells(d, cell[0], cell[1], (below + 1) >> 1, m.raised, m.codes, m.climbing)
+                        halvings = (below + 1) >> 1  # of the cell's sides; two bisections halve them
+                        raise_cells(d, cell[0], cell[1], halvings, m.raised, m.codes, m.climbing)
                         postponed += 1
-                    elif size[0] + 2 * m.level[t] + 2 < m.room:  # a split adds at most two triangles a level
+                    elif size[0] + 2 * m.level[t] + 2 < m.capacity:  # a split adds at most two triangles a level
                         size = split(m, t, size)
                     else:
                         postponed += 1
@@ -76,8 +85,8 @@ def refine(count: int, max_depth: int, min_share: wp.float64, m: FitMesh, found:
 def _spread_excess(m: FitMesh, count: int):
     """Write to each vertex the largest excess over the bound of the `count` listed triangles around it.
 
-    The excess, metres after vertical scaling, is for `_max_excess_around`. It is stored in the vertex' sum of pushes,
-    which is 0 and not needed then.
+    The excess is in metres after vertical scaling. It is stored in the vertex' sum of pushes, which is 0 and not needed
+    then.
     """
     for k in range(count):
         t = m.active[k]
@@ -90,7 +99,10 @@ def _spread_excess(m: FitMesh, count: int):
 
 @wp.func
 def _max_excess_around(m: FitMesh, t: int):
-    """Return the largest excess that `_spread_excess` has written to a triangle's corners, metres; 0 for none."""
+    """Return the largest excess over the bound of any listed triangle that touches triangle t, metres; 0 for none.
+
+    The excess is `worst` - `bound` of a triangle; `_spread_excess` has written it to the triangle's corners.
+    """
     largest = wp.float64(0.0)
     for c in range(3):
         largest = wp.max(largest, m.push[2 * m.corner_verts[3 * t + c]])
@@ -124,6 +136,7 @@ def _error_on_surface(m: FitMesh, t: int, below: int, cell: wp.vec2i):
     if below < 0:
         middle = _middle(m, t)
         return error_at(m.domain, middle[0], middle[1], m.level[t])
+    # A factor of four already at the first of two bisections, which halves the cell's diagonal.
     error = cell_error(m.domain, cell[0], cell[1]) / wp.float32(wp.int64(1) << wp.int64(below + (below & 1)))
     if m.domain.has_finer == 1:
         left = m.point[m.corner_verts[3 * t]]

@@ -4,7 +4,8 @@
 The implicit step goes along the columns and then along the rows and is stable at any length (locally one-dimensional
 scheme, Yanenko 1971). Each line is a tridiagonal system solved by Thomas's algorithm, whose divisors are 1 or more, for
 the change of heights: single precision would lose millimetres of heights of thousands of metres. Boundary: border and
-`base` samples keep their heights.
+`base` samples keep their heights. `soil`: the arrays and parameters of a step; `ew`, `ns`: D dt over the squared
+spacing along x and y.
 """
 
 import warp as wp
@@ -97,7 +98,8 @@ def creep(offset: int, soil: Soil):
 def diffuse_columns(soil: Soil, first: int, end: int):
     """Take an implicit step of diffusion along columns first .. end - 1 of `h`.
 
-    It is Thomas's algorithm, from south to north and back.
+    Thomas's algorithm, from south to north and back, solves (1 + 2 a) d[y] - a d[y - 1] - a d[y + 1] = a lap h[y] for
+    the changes d of heights, with a = `weight` * `ns`, 0 where heights are constant.
     """
     ...
 
@@ -125,7 +127,11 @@ def diffuse_columns(soil: Soil, first: int, end: int):
     }
 """)
 def diffuse_row(soil: Soil, y: int):
-    """Take an implicit step of diffusion along row y of `h`: Thomas's algorithm, west to east and back."""
+    """Take an implicit step of diffusion along row y of `h`: Thomas's algorithm, west to east and back.
+
+    It solves (1 + 2 a) d[x] - a d[x - 1] - a d[x + 1] = a lap h[x] for the changes d of heights, with a = `weight` *
+    `ew`, 0 where heights are constant.
+    """
     ...
 
 

@@ -6,8 +6,8 @@ other. A droplet reaches less than half a tile beyond its own, so tiles of one c
 depend on threads.
 
 `ground` is float32 [rows * columns] metres, NaN where it must not change; `change` is float64 and added to it, which
-conserves mass. The load that leaves at the border of the samples is `carried`, m3. Positions are in samples of the
-whole level, so that a tile has the same bits.
+conserves mass. `rain`: these arrays and the parameters. The load that leaves at the border of the samples is `carried`,
+m3. Positions are in samples of the whole level, so that a tile has the same bits.
 """
 
 import warp as wp
@@ -194,8 +194,9 @@ def run_droplet(rain: DropletRain, x: wp.float64, y: wp.float64) -> wp.float64:
 def rain_on_tiles(offset: int, tiles: wp.array(dtype=wp.int32), rain: DropletRain, carried: wp.array(dtype=wp.float64)):
     """Run all droplets of tile tiles[offset + tid] that start on this ground, one after the other.
 
-    tiles: tiles of one colour, which are so far apart that their droplets never meet. carried[offset + tid]: m3 of
-    sediment that they carry over the border of these samples.
+    tiles: numbers of tiles of one colour, which are so far apart that their droplets never meet; a row has
+    `rain.across` tiles of `rain.columns` by `rain.rows` samples. carried[offset + tid]: m3 of sediment that they carry
+    over the border of these samples.
     """
     slot = offset + wp.tid()
     tile = tiles[slot]

@@ -11,7 +11,7 @@ Arithmetic is float64, in which the sum of depth and bed is exact, so that a lak
 in C that the compiler vectorizes, without contraction, so that every processor gives the same bits. Sums add opposite
 sides first, which preserves every symmetry of a square. On open water a flux is smoothed with its neighbours along the
 same axis, else the shortest waves behind bores would never end (de Almeida, Bates, Freer and Souvignet 2012); on
-slopes, where neighbours belong to other streams, hardly.
+slopes, where neighbours belong to other streams, hardly. `s`, `water`: the arrays and parameters of a step.
 """
 
 import warp as wp
@@ -26,7 +26,7 @@ TO_EAST, TO_NORTH = wp.constant(0), wp.constant(1)
 class FloodStep:
     """Water on a bed and a step of it, samples in rows.
 
-    Fluxes, m^2/s over the faces to the next samples, and `part` have a row before and after the raster's.
+    Fluxes, m^2/s over the faces to the next samples, and `outflow_fraction` have a row before and after the raster's.
     """
 
     width: wp.int32
@@ -42,7 +42,7 @@ class FloodStep:
     was_north: wp.array(dtype=wp.float64)
     east: wp.array(dtype=wp.float64)  # ... and after it
     north: wp.array(dtype=wp.float64)
-    part: wp.array(dtype=wp.float64)  # water of a sample over its outflow, at most 1
+    outflow_fraction: wp.array(dtype=wp.float64)  # of its outflow, for which a sample has water, at most 1
 
 
 _PUSH = """
@@ -79,7 +79,8 @@ _PUSH = """
 def push_row(s: FloodStep, y: int, to_north: int):
     """Compute the fluxes, m2/s, from the samples of row y to the next ones in one direction.
 
-    to_north: TO_EAST or TO_NORTH, the direction.
+    They follow the module's equation, with smoothing, and are limited to critical flow; a flow less than a micrometre
+    deep is 0. to_north: TO_EAST or TO_NORTH, the direction.
     """
     ...
 
@@ -99,7 +100,7 @@ _LIMIT = """
     const double per_x = water.seconds / water.step_x, per_y = water.seconds / water.step_y;
     const double *e = water.east.data + first, *n = water.north.data + first, *s = n - water.width;
     const double *w = water.depth.data + first;
-    double *__restrict out = water.part.data + first;
+    double *__restrict out = water.outflow_fraction.data + first;
     auto over = [](double v) __attribute__((always_inline)) { return v > 0.0 ? v : 0.0; };
     #pragma clang loop vectorize(enable) interleave(enable)
     for (int x = 0; x < water.width; ++x) {
@@ -111,7 +112,7 @@ _LIMIT = """
 
 @wp.func_native(_LIMIT)
 def limit_row(water: FloodStep, y: int):
-    """Compute `water.part` of row y: the fraction of its outflow for which a sample has water, at most 1."""
+    """Compute `outflow_fraction` of row y: the fraction of its outflow for which a sample has water, at most 1."""
     ...
 
 
@@ -126,7 +127,7 @@ _MOVE = """
     const long long first = (long long)y * water.width;
     const double dt = water.seconds, per_x = dt / water.step_x, per_y = dt / water.step_y;
     const double *e = water.east.data + first, *n = water.north.data + first, *s = n - water.width;
-    const double *p = water.part.data + first, *above = p + water.width, *below = p - water.width;
+    const double *p = water.outflow_fraction.data + first, *above = p + water.width, *below = p - water.width;
     const float *r = water.rain.data + first;
     double *__restrict w = water.depth.data + first;
     auto over = [](double v) __attribute__((always_inline)) { return v > 0.0 ? v : 0.0; };
@@ -144,7 +145,7 @@ _MOVE = """
 
 @wp.func_native(_MOVE)
 def move_row(water: FloodStep, y: int):
-    """Update the depths of row y by the fluxes, each times the `part` of the sample that it leaves, and by the rain.
+    """Update the depths of row y by the fluxes, each times the `outflow_fraction` of its source, and by rain.
 
     A depth is at least 0.
     """

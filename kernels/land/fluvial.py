@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A step of rivers along the drainage of kernels/effects/routing.py: incision and deposition.
 
+Each sample drains to one of its eight neighbours, its receiver; an outlet has none. `r`: the arrays and parameters of
+a step.
+
 The loops are C snippets, as in kernels/effects/rows.py; tests/kernels/test_fluvial.py has them in numpy. No statement
 has a product and a sum, which some processors would fuse and round differently.
 """
@@ -85,7 +88,9 @@ def find_rates(offset: int, r: River):
 def cut_samples(r: River):
     """Incise all samples from the outlets upstream: h_i = (h_i + F h_r) / (1 + F), r the receiver; then limit slopes.
 
-    F: `r.rate`. The slope is limited by `r.drop`, the largest height above the receiver.
+    F, `r.rate`: the samples that erosion travels upstream in the step. A height of more than `r.drop` metres above the
+    receiver is also reduced, by the fraction `r.weight` of the excess. `r.filled` becomes the water's surface if
+    `r.lakes` is 1.
     """
     ...
 
@@ -94,9 +99,10 @@ def cut_samples(r: River):
 def cut_down(r: River):
     """Incise all samples, serially from the outlets upstream: h_i = (h_i + F h_r) / (1 + F), r the receiver.
 
-    This is the implicit step of Braun and Willett (2013), equation 20, stable at any length. Slopes are then limited by
-    `drop`, as far as the mask's `weight` goes. Samples below their receiver (lake floors) and samples with zero rate
-    are not eroded. `filled` becomes the water's surface if `lakes` is 1.
+    This is the implicit step of Braun and Willett (2013), equation 20, stable at any length. F, `rate`: the samples
+    that erosion travels upstream in the step. Heights above the receiver are then limited to `drop`, by the fraction
+    `weight` of the excess. Samples below their receiver (lake floors) and samples with zero rate are not eroded.
+    `filled` becomes the water's surface if `lakes` is 1.
     """
     cut_samples(r)
 
@@ -141,11 +147,11 @@ def deposit(r: River):
     """Carry eroded material downstream, serially from the springs, and deposit a part of it.
 
     A channel deposits G / A of its load, A in samples (Davy and Lague 2009; Yuan et al. 2019, equation 7), but at most
-    half of its incision plus a twentieth of the load, divided by 1 + F as every height above a receiver. A lake, where
-    `filled` is above the ground, deposits up to a quarter of its depth in a step, so that no path through it fills
-    first. Both are multiplied by the mask's `weight`. load: the inflow of a tile or 0 at first; then metres times
-    samples that came to each sample, and at outlets the sediment that has left. It sums differences of stored heights,
-    so that rounding loses no mass.
+    half of its incision plus a twentieth of the load; this is divided by 1 + F, as the incision divides heights above
+    the receiver. A lake, where `filled` is above the ground, deposits up to a quarter of its depth in a step: so it
+    does not fill along one path first. Both are multiplied by the mask's `weight`. load: the inflow of a tile or 0 at
+    first; then metres times samples that came to each sample, and at outlets the sediment that has left. It sums
+    differences of stored heights, so that rounding loses no mass.
     """
     deposit_samples(r)
 
@@ -187,7 +193,11 @@ def settle_segments(
     sediment: wp.array(dtype=wp.float32),
     scratch: wp.array(dtype=wp.float32),
 ):
-    """Move sediment between lake samples in segments; `settle` explains the arguments."""
+    """Move sediment downhill between lake samples `apart` samples away from each other, in `pairs` pairs of passes.
+
+    first, last: first and last sample of each segment of samples to update. lake: 1 in lakes. rock: metres of ground
+    under the sediment. sediment: metres, read and written in turn with `scratch`. width: samples in a row.
+    """
     ...
 
 
@@ -206,10 +216,10 @@ def settle(
     """Move sediment under water downhill in `pairs` pairs of passes, serially.
 
     A pass moves, between lake samples `apart` samples away from each other along rows and columns, a fifth of the
-    difference of heights, at most a fifth of the upper one's sediment. first, last: the samples of each segment, all at
-    least `apart` rows from the raster's border; the segments cover the lakes. lake: 1 in lakes, which are at least
-    `apart` columns from the border. rock: metres of ground under the sediment. sediment, scratch: metres of sediment,
-    equal at first. width: samples in a row.
+    difference of heights, at most a fifth of the upper one's sediment: four neighbours may take it. first, last: the
+    samples of each segment, all at least `apart` rows from the raster's border; the segments cover the lakes. lake: 1
+    in lakes, which are at least `apart` columns from the border. rock: metres of ground under the sediment. sediment,
+    scratch: metres of sediment, equal at first. width: samples in a row.
     """
     settle_segments(pairs, width, apart, first, last, lake, rock, sediment, scratch)
 
@@ -238,7 +248,7 @@ def vary_rock(
         north = wp.float64(first[0] + y) * steps[1] / longest
         total = wp.float64(0.0)
         scale = wp.float64(1.0)
-        for octave in range(octaves):
+        for octave in range(octaves):  # seeds a step of 2^32 over the golden ratio apart
             noise = value_noise(east * scale, north * scale, seed + wp.uint32(octave) * wp.uint32(-0x61C88647))
             total += noise[2]
             scale *= wp.float64(2.0)

@@ -4,7 +4,7 @@
 Heights are functions of the position by arithmetic alone: a seed gives the same bits on every machine, and a point has
 the same height at every resolution. `x`, `y`: metres from the centre of the square, to the east and north. `wx`, `wy`:
 the position moved by noise, so that forms are not straight. Indices 0 and 1 of a noise are its slopes, 2 is its value.
-Lengths, heights and other numbers are chosen by their looks.
+Lengths, heights and other numbers are chosen by their looks. `seed`: selects other noise.
 """
 
 import warp as wp

@@ -4,6 +4,10 @@
 It is a function of the position and the ground around it, by + - * /, square roots and integer hashes: the same bits on
 every machine. Positions are float64 and offsets from a lattice point float32, so that noise is as exact far from the
 raster's first sample as near it.
+
+`noise`: the longest `wave`, metres; the amplitude over half of it where the slope is 1 (`rough`) and on level ground
+(`plain`), which each octave multiplies by `gain`; `ridge`, 0 round to 1 sharp on convex ground; thickness of beds
+(`bed`), how far hard ones stand out (`ledge`), and their slopes to the east and north (`dip`).
 """
 
 import warp as wp
@@ -57,7 +61,7 @@ def gradient_at(row: wp.uint32, i: wp.uint32, u: wp.float32, v: wp.float32) -> w
 
     row: hash of the row's number.
     """
-    h = scramble(row + i)
+    h = scramble(row + i)  # two numbers of 16 bits; times 2^-15 minus 1 they are -1 .. 1
     gx = wp.float32(h & wp.uint32(0xFFFF)) * wp.float32(3.0517578125e-05) - wp.float32(1.0)
     gy = wp.float32(h >> wp.uint32(16)) * wp.float32(3.0517578125e-05) - wp.float32(1.0)
     return wp.vec3f(gx, gy, gx * u + gy * v)
@@ -83,6 +87,7 @@ def gradient_noise(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec3f:
     fv = v * v * v * (v * (v * 6.0 - 15.0) + 10.0)
     su = 30.0 * u * u * (u * (u - 2.0) + 1.0)
     sv = 30.0 * v * v * (v * (v - 2.0) + 1.0)
+    # Interpolate gradients and values; the slope is the gradient plus the value's change with the weights fu and fv.
     low = a + (b - a) * fu
     high = c + (d - c) * fu
     mixed = low + (high - low) * fv

@@ -4,7 +4,7 @@
 The position of crests is phasor noise (Tricard, Efremov, Zanni, Neyret, Martinez and Lefebvre, "Procedural phasor
 noise", 2019): the phase of a sum of wave patches of one wavelength. Heights are functions of the position by arithmetic
 alone: the same bits on every machine, and the same height at every resolution. Lengths, heights and other numbers are
-chosen by their looks.
+chosen by their looks. `seed`: selects other noise.
 """
 
 import warp as wp
@@ -61,6 +61,7 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
         row = scramble(wp.uint32(wp.int32(j)) + wp.uint32(dj) + seed)
         for di in range(-1, 2):
             h = scramble(row + wp.uint32(wp.int32(i)) + wp.uint32(di))
+            # Times PART, 16 random bits are a number 0 .. 1: a patch's place in the cell, its tilt and its phase.
             for _patch in range(PATCHES):
                 h = scramble(h + wp.uint32(1))
                 px = fu - wp.float32(di) - wp.float32(h & wp.uint32(0xFFFF)) * PART
@@ -69,6 +70,7 @@ def crests(x: wp.float64, y: wp.float64, seed: wp.uint32) -> wp.vec2d:
                 if falloff > 0.0:
                     g = scramble(h)
                     tilt = wp.float32(g & wp.uint32(0xFFFF)) * PART - 0.5
+                    # Two waves a cell along x, tilted a little, with a random phase.
                     phase = 2.0 * px + 1.5 * tilt * py + wp.float32(g >> wp.uint32(16)) * PART
                     weight = falloff * falloff
                     c += weight * fast_sine(phase + 0.25)

@@ -49,8 +49,10 @@ def fall(
 
     snow = fall * cold(T) * (UNDER_COVER + (1 - UNDER_COVER) sky) * drift(lee), T by height and aspect, cold a logistic
     function less MELTS, 0 .. 1; 0 where `bare` is not 0. sky: visible part, 0 .. 1. lee: shelter from the wind, above 0
-    where snow gathers; drift is 0.2 .. 1.8. weather.sun: sine and cosine of the sun's height. Boundary: slopes are
-    one-sided at the border.
+    where snow gathers; drift is 0.2 .. 1.8. weather.sun: sine and cosine of the sun's height. weather.line: height,
+    metres, at which half of the precipitation is snow. weather.fall: metres of snow on cold, level, open ground.
+    weather.aspect: kelvin between ground that faces the noon sun and ground in its shade. weather.per_x, per_y: 1 over
+    the step between samples, 1/m. Boundary: slopes are one-sided at the border.
     """
     one = wp.float64(1.0)
     y = offset + wp.tid()
@@ -131,9 +133,10 @@ _SLIDE = """
 def slide_slab(slides: Slides, y: int, along: int, turn: int):
     """Move loose snow between pairs of samples in rows y and y + 1 until they differ by `slides.falls` or have none.
 
-    Only the upper sample's loose snow moves. A pair that is settled later may undo that for an earlier one. Rows
-    outside the raster are skipped. along: 1 to settle pairs along the rows first, from those whose western column has
-    the parity of `turn`; 0 to settle only pairs across and along the diagonals.
+    slides.falls: largest stable height differences, metres, of neighbours to the east, north and diagonally. Only the
+    upper sample's loose snow moves. A pair that is settled later may undo that for an earlier one. Rows outside the
+    raster are skipped. along: 1 to settle pairs along the rows first, from those whose western column has the parity of
+    `turn`; 0 to settle only pairs across and along the diagonals.
     """
     ...
 
@@ -142,7 +145,8 @@ def slide_slab(slides: Slides, y: int, along: int, turn: int):
 def slide(offset: int, first: int, along: int, turn: int, slides: Slides):
     """Settle the loose snow of slab `offset + tid`: rows first + 2 * (offset + tid) and the next.
 
-    Slabs share no row. first: -1 or 0. along: 1 to settle pairs along the rows first, from those whose western column
-    has the parity of `turn`; 0 to settle only pairs across and along the diagonals.
+    Slabs share no row. first: -1 or 0, the first slab's lower row; rows outside the raster are skipped. along: 1 to
+    settle pairs along the rows first, from those whose western column has the parity of `turn`; 0 to settle only pairs
+    across and along the diagonals.
     """
     slide_slab(slides, first + 2 * (offset + wp.tid()), along, turn)

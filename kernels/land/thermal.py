@@ -7,7 +7,8 @@ and then the others, or in reverse; within a slab pairs along its rows, across i
 no row, so that threads do not change a bit.
 
 Layers from below: `base`, constant rock; `left`, rock that may break off; `scree`. All are float32 [rows * columns]
-metres; separate arrays keep millimetres on a mountain. Boundary: NaN in `base` is a wall that nothing passes.
+metres; separate arrays keep millimetres on a mountain. `slope`, `s0`: these and the parameters. Boundary: NaN in `base`
+is a wall that nothing passes.
 """
 
 import warp as wp
@@ -21,7 +22,7 @@ class Slope:
 
     `first_row`, `first_column`: position of sample [0, 0] in the whole level. `repose`: tangent of scree. `soft`,
     `hard`: tangents at which the softest and the hardest bed break. `thick`: thickness of a bed. `dip_x`, `dip_y`:
-    metres that beds rise to the next sample in the east and north. `share`: fraction of the excess that the upper
+    metres that beds fall to the next sample in the east and north. `share`: fraction of the excess that the upper
     sample of a pair gives, at most `max_fraction` of its scree. `weather`: fraction of the excess of bare rock that
     breaks off. Of each sample, `base`: height of the rock that cannot break, NaN at walls; `left`: rock on it that may
     still break; `scree`: on both; `facing`: cosine of the angle between downhill and the nearest of eight directions.
@@ -50,7 +51,8 @@ class Slope:
 
 
 # Eight directions alone would make eight-sided cones, since between two of them the slope along either is less than the
-# steepest one. So limits are multiplied by the cosine of the angle to the nearest direction.
+# steepest one. So limits are multiplied by the cosine of the angle to the nearest direction. That angle is at most 22.5
+# degrees, cosine 0.924: a smaller quotient is not one, but comes from a wall (NaN) or level ground (0 / 0).
 FACE_ROW = """
     const float* __restrict b = s0.base.data;
     const float* __restrict l = s0.left.data;
@@ -91,7 +93,8 @@ def face_rows(offset: int, slope: Slope):
     face_row(slope, offset + wp.tid())
 
 
-# C code, eight pairs at once: 6 times as fast as Warp's loops.
+# A bed of rock is `thick` metres high and has a random hardness, 0 .. 1, which changes to that of the next bed over its
+# upper quarter. C code, eight pairs at once: 6 times as fast as Warp's loops.
 SETTLE_SLAB = """
     const float* __restrict b = s0.base.data;
     float* __restrict l = s0.left.data;
@@ -175,9 +178,9 @@ def settle_slab(s0: Slope, y: int, along: int, turn: int):
     """Move rock and scree down between samples in rows y and y + 1 where they are steeper than their angles of repose.
 
     In each pair of samples the scree moves first. Then rock of the upper sample breaks off and becomes scree of the
-    lower one, the less the more scree covers it, and none under 1 m. Beds of rock differ less in faces higher than a
-    bed. Rows outside the raster are skipped. along: 1 to settle pairs along the rows, too, first those whose western
-    column in the whole level has the parity of `turn`.
+    lower one, the less the more scree covers it, and none under 1 m of scree. In faces higher than a bed, the angles of
+    soft and hard beds differ less. Rows outside the raster are skipped. along: 1 to settle pairs along the rows, too,
+    first those whose western column in the whole level has the parity of `turn`.
     """
     ...
 

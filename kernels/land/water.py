@@ -4,6 +4,10 @@
     h = (n Q / (w S^(1/2)))^(3/5), w = WIDTH Q^(1/2), v = Q / (w h)
 
 h: depth, n: Manning's coefficient, Q: discharge, S: slope, w: width of the stream (Leopold and Maddock 1953).
+
+`rain`: the raster, its drainage and the results. `rain.heights`: of the ground, `rain.filled`: with filled depressions,
+metres; `rain.area`: samples that drain through each one; `rain.runoff`: m3/s from one sample; `rain.normal`: depth of
+uniform flow, metres.
 """
 
 import warp as wp
@@ -59,8 +63,9 @@ def slope(rain: SteadyRain, x: wp.int32, y: wp.int32) -> wp.float64:
 def flow_uniformly(offset: int, rain: SteadyRain):
     """Write the depth of uniform flow in row `offset + tid` to `normal`, and the water's surface to `surface`.
 
-    The surface, metres, is that of the sea, the bed of a lake, or that of the flow; dams are not known yet. A discharge
-    up to MIN_DISCHARGE has depth 0.
+    The surface, metres, is that of the sea, the bed of a lake, or that of the flow. The caller then fills its hollows:
+    water that flows towards higher water is dammed, and lakes rise to the flow at their outlets. A discharge up to
+    MIN_DISCHARGE has depth 0.
     """
     y = offset + wp.tid()
     for x in range(rain.width):
@@ -84,8 +89,9 @@ def flow_uniformly(offset: int, rain: SteadyRain):
 def measure_water(offset: int, rain: SteadyRain):
     """Write depth (to `surface`), speed and discharge of the water at sample `offset + tid`; 0 where `dry`.
 
-    Before, `surface` is the height of the water's surface, with dams. Dammed water is slower than uniform flow by the
-    ratio of the depths, and so is the shallow border of a lake, which carries hardly any of its water.
+    Before, `surface` is the height of the water's surface, whose hollows are filled. Water that is deeper than uniform
+    flow (dammed) is slower by the ratio of the depths, and so is the shallow border of a lake, which carries hardly any
+    of its water.
     """
     i = offset + wp.tid()
     discharge = rain.area[i] * rain.runoff

@@ -6,7 +6,8 @@ Functions from heap ids to triangles and neighbours, and conforming edits of the
 A triangle is (left, apex, right); its longest edge runs from left to right, and bisection puts a vertex in its middle:
 child 0 is (left, middle, apex), child 1 is (apex, middle, right). In a square the roots are ids 2 and 3, depth 1, on
 either side of the square's diagonal; id 1 is the square. In the tree of the grid the squares are the nodes at depth
-`square_bits`, row by row from the south west.
+`square_bits`, row by row from the south west. `t` is the tree's Bitfield, which can be read and edited; a `tree_id` is
+a heap id in it.
 """
 
 import warp as wp
@@ -116,7 +117,6 @@ def first_neighbour(grid: SquareGrid, node: LebNode, heap_id: wp.int32, edge: wp
     neighbour = LebNode()
     neighbour.column = node.column + FIRST_NEIGHBOURS[entry]
     neighbour.row = node.row + FIRST_NEIGHBOURS[entry + 1]
-    # Beyond the grid the id stays 0.
     if neighbour.column >= 0 and neighbour.column < grid.columns and neighbour.row >= 0 and neighbour.row < grid.rows:
         neighbour.heap_id = wp.uint64(FIRST_NEIGHBOURS[entry + 2])
     return neighbour
@@ -149,7 +149,9 @@ def neighbours_of(grid: SquareGrid, node: LebNode):
     ancestor.heap_id = wp.uint64(heap_id)
     for k in range(start, depth):
         bit = (node.heap_id >> wp.uint64(depth - 1 - k)) & ONE
-        # Child 1 is the left neighbour of child 0; child 0 is the right neighbour of child 1.
+        # Child 1 is the left neighbour of child 0; child 0 is the right neighbour of child 1. Across the parent's
+        # longest edge is half of the neighbour there. The child's longest edge is a leg of the parent; `outer` is half
+        # of the neighbour across it.
         across = child_of(edge, ONE - bit)
         outer = child_of(right, ONE)
         if bit == ONE:
@@ -176,10 +178,11 @@ def split_conforming(t: Bitfield, grid: SquareGrid, tree_id: wp.uint64):
     """Split a leaf, the other half of its diamond, and the chain of coarser neighbours that a conforming mesh requires.
 
     A diamond is split on both sides or not at all: forced splits as in ROAM (Duchaineau et al. 1997). tree_id: the leaf
-    in the tree of the grid. Each pass splits the parent of the neighbour across the longest edge, if that is still a
-    leaf, and then the neighbour; the next pass begins at the parent. The order matters: to split child 1 also sets a
-    bit of its parent, so `split` would report the parent as split before. Threads may split neighbours at once: `split`
-    returns whether a node was already split, so only the first thread continues with the parent's neighbour.
+    in the tree of the grid. Each pass splits the parent of the neighbour across the longest edge, if that parent is
+    still a leaf, and then the neighbour; the next pass begins at the parent. It ends at the border, at a neighbour that
+    is a root, or at a parent that was split before. The order matters: to split child 1 also sets a bit of its parent,
+    so `split` would report the parent as split before. Threads may split neighbours at once: `split` returns whether a
+    node was already split, so only the first thread continues with the parent's neighbour.
     """
     split(t, tree_id)
     node = node_of(grid, tree_id)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Triangles, neighbours and conforming edits of many nodes at once."""
+"""Triangles, neighbours and conforming edits of many nodes at once.
+
+Nodes are given by their heap ids in the tree of all root squares, whose root is 1; node n has the children 2n, 2n + 1.
+"""
 
 import warp as wp
 
@@ -27,7 +30,10 @@ def write_triangles(
 def write_neighbours(
     offset: wp.int32, grid: SquareGrid, ids: wp.array(dtype=wp.uint64), out: wp.array(dtype=wp.uint64)
 ):
-    """Write the neighbours "left", "right" and "edge" of node ids[offset + tid] as heap ids; 0 beyond the grid."""
+    """Write the heap ids of the neighbours of node ids[offset + tid], of the same depth, to out; 0 beyond the grid.
+
+    They are those across the edges apex-right ("left"), left-apex ("right") and left-right ("edge").
+    """
     k = offset + wp.tid()
     left, right, edge = neighbours_of(grid, node_of(grid, ids[k]))
     out[3 * k] = tree_id_of(grid, left)

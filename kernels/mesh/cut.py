@@ -3,7 +3,8 @@
 
 An edge that changes sign gets one new vertex, which both of its triangles share, so the cut makes no T-junctions.
 Remaining elements keep their numbers, except that the last ones move into the gaps. So the cost depends only on the
-elements that a cut touches.
+elements that a cut touches. `m`: the mesh that is cut: `m.listed` has the counts[LISTED] triangles near the cut,
+`m.removed[kind, number]` marks vertices, edges and triangles, and `m.counts[kind]` is their number.
 """
 
 import warp as wp
@@ -42,7 +43,8 @@ def list_near(
 ):
     """List triangles first .. end - 1 that have a vertex in `near`, from listed[first] on.
 
-    found[slot] becomes their number. near: 1 for each vertex close to the cut. The caller joins the lists of its slots.
+    found[slot] becomes their number. near: 1 for each vertex close to the cut. corner_verts: vertices of each
+    triangle's three corners. The caller joins the lists of its slots.
     """
     n = first
     for t in range(first, end):
@@ -66,7 +68,8 @@ def flag_holes(
 ):
     """Set flags[t] to 1 if the middle of triangle t = offset + tid is in a raster cell with a missing sample.
 
-    corner: the raster's south-western corner, metres. step: metres between samples. valid: 0 for missing samples.
+    corner: the raster's south-western corner, metres. step: metres between samples, of which there are `columns` x
+    `rows`. valid: 0 for missing samples. positions [V], corner_verts [3 T]: the mesh's.
     """
     t = offset + wp.tid()
     x = wp.float64(0.0)  # sums over the three corners, from the raster's corner
@@ -287,8 +290,9 @@ def renumber(
 ):
     """Replace the numbers of vertices and edges that were moved into gaps, in the listed triangles that remain.
 
-    One thread. vertices, edges: how many remain. moved_vertices, moved_edges: new numbers of the elements from there
-    on. The ends of edges are renumbered in place: the caller moves the edges and vertices themselves afterwards.
+    One thread. vertices, edges: how many remain. moved_vertices, moved_edges: new numbers of the elements with the old
+    numbers `vertices`, `vertices` + 1 .. or `edges`, `edges` + 1 .. The ends of edges are renumbered in place: the
+    caller moves the edges and vertices themselves afterwards.
     """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]

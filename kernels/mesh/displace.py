@@ -1,5 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement: lattice points to positions, normals and texture coordinates by the height field at full resolution."""
+"""Displacement: lattice points to positions, normals and texture coordinates by the height field at full resolution.
+
+The walk has written points in slices, one for each of its threads. A run is a sequence of points that is contiguous in
+this frame and in the last one; its vertices are copied. `points.reused` has a list of `room` runs for each slice: entry
+of the first point in this frame (`first`) and in the last one (`before`), and `count`. Finer tiles replace the raster's
+samples in places.
+"""
 
 import warp as wp
 
@@ -96,7 +102,8 @@ def find_run(
 
     Points are counted in the slice, and only those from v to `end` - 1 count; without any, begin and stop are `end`.
     last_first: number of the first one's vertex in the last frame. run, run_end: the run's entry in the list, and the
-    end of the list. point_base: entry of the slice's point 0 in `points.point`.
+    end of the list. point_base: entry of the slice's point 0 in `points.point`. points.last_base, last_vertex: first
+    entry and first vertex of each slice of the last frame.
     """
     begin = end
     stop = end
@@ -147,7 +154,7 @@ def copy_run(points: DisplacedPoints, last_first: wp.int64, begin: wp.int32, sto
 
 @wp.func
 def fetch_samples(domain: Domain, q: wp.vec2i):
-    """Prefetch the samples of the row at lattice point q and of its two neighbours into the processor's cache."""
+    """Prefetch the sample south-west of lattice point q, and those a row before and after it, into the cache."""
     bits = domain.unit_bits - domain.levels
     index = wp.int64(q[1] >> bits) * wp.int64(domain.samples.columns) + wp.int64(q[0] >> bits)
     prefetch_sample(domain.samples, index)
@@ -157,7 +164,7 @@ def fetch_samples(domain: Domain, q: wp.vec2i):
 
 @wp.func
 def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
-    """Return the height (metres before scaling) and its slopes (metres a cell) at lattice point p, without detail.
+    """Return height (metres before scaling) and slopes (metres a cell) at lattice point p, without displacement layers.
 
     Slopes are those for shading, without steps between cells. Beyond the border the result is that of the nearest point
     on the border.
@@ -180,8 +187,8 @@ def surface_at(domain: Domain, p: wp.vec2i) -> wp.vec3d:
         t = wp.float64(y - (j << shift)) * per_unit
         g = finer_at(domain.finer[0], tile, i, j, s, t)
         if domain.bicubic == 1:  # plus the bicubic surface minus the bilinear one
-            rest = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
-            g = wp.vec3d(g[0] + rest[0], g[1], g[2])
+            difference = off_corners(domain.samples, domain.finer[0].bits, i, j, s, t)
+            g = wp.vec3d(g[0] + difference[0], g[1], g[2])  # shading keeps slopes interpolated between samples
     elif ((x | y) & (cell - 1)) == 0:  # a sample
         g = on_sample(domain.samples, x >> bits, y >> bits)
     else:
@@ -209,10 +216,10 @@ def displace(
 ):
     """Write positions (metres from the local origin), normals and texture coordinates of points first .. end - 1.
 
-    The surface has no detail (kernels/detail/displace.py), and no point morphs. `points.not_finite` is set if a value
-    is not finite. Points are counted in the slice: point 0 is entry `point_base` of `points.point`, and vertex
-    `vertex_base` of the mesh. slot: number of the list of runs that are copied from the last frame; all other points
-    are computed.
+    One thread computes all of them. It is for surfaces without displacement layers (those: kernels/detail/displace.py)
+    and without geomorphing. `points.not_finite` is set if a value is not finite. Points are counted in the slice: point
+    0 is entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of the list of runs
+    that are copied from the last frame; all other points are computed.
     """
     last = point_base + wp.int64(end - 1)
     run, run_end = runs_of(points, slot)

@@ -13,7 +13,10 @@ def corner_uv(
     corner_verts: wp.array(dtype=wp.int32),
     out: wp.array(dtype=wp.vec2f),
 ):
-    """Write the UV of face corner `offset + tid`, which is the UV of the corner's vertex."""
+    """Write the UV of face corner `offset + tid` to `out`: that of its vertex.
+
+    uv: of each vertex. corner_verts: vertex of each corner.
+    """
     c = wp.tid() + offset
     put(out, c, item_at(uv, item_at(corner_verts, c)))
 

@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Joining of welded slices: each import is resolved, slice by slice, and replaced by its number.
 
-An import is a vertex or an edge that an earlier slice has made (weld_state.py). The front, the stacks of open edges and
-the shared sides are those of weld.py. A slice whose two leaves at an edge give it different levels is marked TORN.
+An import is a vertex or an edge that an earlier slice has made; until it is resolved it has a negative number. It comes
+from one of three places: the front (the edge by which the curve enters the slice), one of two stacks of open edges (of
+which only one triangle is known yet, left and right of the curve), or the sides and corners that root squares share. A
+slice whose two leaves at an edge give it different levels is marked TORN. `w`: the arrays of all slices. An edge's
+level is the depth of triangles whose longest edge it is. Capital names after `first_state` or STATE_SIZE are columns
+of `w.state`, which has STATE_SIZE entries for each slice.
 """
 
 import warp as wp
@@ -55,14 +59,17 @@ def resolve(
 
     It also completes the entries of shared sides that later slices import, and marks slices as TORN whose triangles do
     not fit together. slices: number of slices. open, open_level: scratch for two stacks of `size` entries: the edges
-    that are open at the end of a slice, and their levels.
+    that are open at the end of a slice, each as (edge, vertex where it begins), and their levels. An entry of
+    `w.imports` is (kind, value); the kinds STACK (and + 1, the right border's) and SIDE have the edge's level in their
+    upper bits. value: which number of the front (0, 1: its vertices, 2: the edge), how far below the top of the
+    stack, the entry in `w.side`, or the square. State entries that begin with END describe the end of a slice.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)
     for k in range(slices):
         first_state = STATE_SIZE * k
         leaves = wp.int32(w.counts[3 * k])
-        list_base = base_of(w.counts, k).room
+        list_base = base_of(w.counts, k).list_base
         first = 2 * list_base  # of the slice's imports; their list has two entries for each one of other lists
         # What each import stands for.
         for i in range(w.state[first_state + IMPORTS]):
@@ -132,7 +139,7 @@ def replace_imports(slot: wp.int32, w: Weld, found: wp.array(dtype=wp.vec2i)):
     slot: number of the slice. found: (edge, vertex) of each import of all slices. `w.fixes` lists the triangles that
     have imports.
     """
-    list_base = base_of(w.counts, slot).room
+    list_base = base_of(w.counts, slot).list_base
     first_import = 2 * list_base  # the list of imports has two entries for each one of other lists
     for i in range(w.state[STATE_SIZE * slot + FIXES]):
         t = w.fixes[list_base + i]

@@ -82,8 +82,8 @@ def number_side(
 ):
     """Write the numbers of the points and lines on side s of a leaf to `numbers`, in the template's order.
 
-    The side begins at the leaf's corner v and is edge e of the source, which has v at either end. points, lines:
-    entries in `numbers` where those of the leaf begin.
+    The side begins at the leaf's corner v and is edge e of the source, which has v at either end. t: the template.
+    points, lines: entries in `numbers` where those of the leaf begin.
     """
     n = t.segments
     first_point = source.vertices + e * (n - 1)
@@ -111,8 +111,8 @@ def expand(
 ):
     """Write points, lines and triangles of edges first_edge .. end_edge - 1 and leaves first_leaf .. end_leaf - 1.
 
-    source, out: the mesh before and after the expansion. numbers: scratch from entry `scratch` on, for the numbers of
-    one leaf's points and lines in the template's order.
+    t: the template. source, out: the mesh before and after the expansion. numbers: scratch from entry `scratch` on, for
+    the numbers of one leaf's points and lines in the template's order.
     """
     n = t.segments
     for e in range(first_edge, end_edge):
@@ -176,7 +176,8 @@ def find_common_points(
     One thread. Levels in curve order locate every leaf: overlapping leaves of equal level are the same leaf.
     last_leaves, leaves: number of leaves of either mesh. last_level, level: their levels. points: points inside one
     leaf. last_first, first: number of the first such point of either mesh. runs: room for one per leaf of the smaller
-    mesh. Footprints and the frustum of the runs are not known, so geomorphing computes their points again.
+    mesh. It is not known what footprints their points have and whether they are in the frustum, so geomorphing computes
+    them again.
     """
     i = wp.int32(0)
     j = wp.int32(0)

@@ -9,8 +9,16 @@ instead, since the later square passes them last edge first.
 
 Slices of the curve are welded side by side, each from exact bases (weld_state.py), and joined afterwards (join.py).
 
-`slot`: the slice's row in the arrays. `leaves`: number of its leaves. `b`: its first numbers. `first_state`: its first
-entry in `state`. `s`: its strip. `code`: a leaf's word.
+`w`: the arrays of all slices. `slot`: the slice's row in them. `leaves`: number of its leaves. `b`: its first numbers.
+`first_state`: its first entry in `state`. `s`: its strip (front and next free numbers). `code`: a leaf's word: whether
+its third edge is old (1 bit), its passage (2 bits: by leg or hypotenuse the curve enters it, and leaves it), the
+depth's parity, the third edge's role on a shared side, flags for the first and the last leaf of a square, and the
+depth. Imports are elements of earlier slices, numbered from -1 down. An edge's level is the depth of triangles whose
+longest edge it is; both of its leaves must agree on it, else the slice is torn.
+
+`s.front0`, `s.front1`: left and right vertex of the front. `s.next0`, `s.next1`: next free entries of the two stacks in
+`w.stack`. Capital names after `first_state` are columns of `w.state`; those after `code >>` are positions of bits;
+..._LEGS have a bit for each passage.
 """
 
 import warp as wp
@@ -93,7 +101,7 @@ THIRD_LEGS = wp.constant(1 << HYP_LEG | 1 << LEG_HYP)
 def side_of(code: wp.int32) -> wp.int32:
     """Return the side of the strip (0 left, 1 right) on which a leaf moves the front's vertex.
 
-    code: the leaf's word.
+    code: the leaf's word. SIDES has a bit for each shape (passage and parity).
     """
     return (SIDES >> (code & SHAPE)) & 1
 
@@ -126,7 +134,7 @@ def write_triangle(
     code: the leaf's word. side: side of the strip (0 left, 1 right) on which the front moves. entry, leave, third: the
     edges by which the curve enters and leaves, and the other one.
     """
-    shape = code & SHAPE
+    shape = code & SHAPE  # passage and parity, for which each table has two bits
     o0 = 3 * t + ((FIRST_CORNER >> shape) & 3)
     o1 = 3 * t + ((SECOND_CORNER >> shape) & 3)
     o2 = 3 * t + ((THIRD_CORNER >> shape) & 3)
@@ -154,8 +162,8 @@ def begin_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32) -> Strip:
     s = Strip()
     s.vertex = b.vertex
     s.edge = b.edge
-    s.next0 = stack_base(b.room, leaves, 0)
-    s.next1 = stack_base(b.room, leaves, 1)
+    s.next0 = stack_base(b.list_base, leaves, 0)
+    s.next1 = stack_base(b.list_base, leaves, 1)
     # the entry below each stack looks like an import, so the inner loop never closes it
     w.stack[s.next0 - 1] = wp.vec2i(-1, -1)
     w.stack[s.next1 - 1] = wp.vec2i(-1, -1)
@@ -187,13 +195,14 @@ def begin_square(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.in
     w.state[first_state + RESTARTED] = 1
     check_level(w, first_state, 0, s.level)  # not 0: the leaves of the square before do not fill it
     s.level = level_of(code, ENTRY_LEGS)
-    s.next0 = stack_base(b.room, leaves, 0)
-    s.next1 = stack_base(b.room, leaves, 1)
+    s.next0 = stack_base(b.list_base, leaves, 0)
+    s.next1 = stack_base(b.list_base, leaves, 1)
     corner, end, entry, vertex, edge = begin_left_side(w, b, first_state, slot, code, s.level, s.vertex, s.edge)
     s.entry = entry
     s.vertex = vertex
     s.edge = edge
-    # Whether the corner is on the right border of the strip.
+    # Whether the corner is on the right border of the strip. A triangle of odd depth is counter-clockwise, so the curve
+    # has its left corner on its left if it enters by a leg, and on its right if by the hypotenuse. Even ones mirror it.
     mirrored = ((code & PASSAGE) == HYP_LEG) == (((code >> PARITY) & 1) == 1)
     s.front0 = wp.where(mirrored, end, corner)
     s.front1 = wp.where(mirrored, corner, end)
@@ -217,7 +226,8 @@ def third_edge(w: Weld, b: Base, slot: wp.int32, code: wp.int32, leaves: wp.int3
     far = s.vertex
     growth = wp.int32(0)
     if (code & 1) == 1:  # the curve has passed the edge before, in this square
-        if next_open == stack_base(b.room, leaves, side):  # the stack is empty: an earlier slice has opened the edge
+        # The stack is empty: an earlier slice has opened the edge.
+        if next_open == stack_base(b.list_base, leaves, side):
             third = import_open_edge(w, b, first_state, side, level)
             far = third
         else:
@@ -249,13 +259,14 @@ def note_rare(w: Weld, b: Base, slot: wp.int32, code: wp.int32, s: Strip, t: wp.
     first_state = STATE_SIZE * slot
     if (s.front0 | s.front1 | far | s.entry | third) < 0:  # one is an import
         n = w.state[first_state + FIXES]
-        w.fixes[b.room + n] = t
+        w.fixes[b.list_base + n] = t
         w.state[first_state + FIXES] = n + 1
     # The last leaf of a square that has one above.
     if code >> LAST == 1 and w.state[first_state + SQUARE] < w.columns * (w.rows - 1):
         leave = s.edge + wp.where(third == s.edge, 1, 0)
         pivot = wp.where(side_of(code) == 0, s.front1, s.front0)
-        # The end where the curve began the edge; after the hypotenuse it is the third edge's far vertex.
+        # The edge's end that is first in the order left, apex, right. The far vertex is the apex, and the pivot the
+        # right corner, if the leaf is entered by its hypotenuse; otherwise the far vertex is the right corner.
         begun = wp.where((code & PASSAGE) == HYP_LEG, far, pivot)
         append_above(w, first_state, leave, level_of(code, LEAVE_LEGS), begun)
 
@@ -270,8 +281,8 @@ def end_slice(w: Weld, b: Base, slot: wp.int32, leaves: wp.int32, s: Strip):
     w.state[first_state + END_FRONT] = s.front0
     w.state[first_state + END_FRONT + 1] = s.front1
     w.state[first_state + END_FRONT + 2] = s.entry
-    w.state[first_state + END_TOPS] = s.next0 - stack_base(b.room, leaves, 0)
-    w.state[first_state + END_TOPS + 1] = s.next1 - stack_base(b.room, leaves, 1)
+    w.state[first_state + END_TOPS] = s.next0 - stack_base(b.list_base, leaves, 0)
+    w.state[first_state + END_TOPS + 1] = s.next1 - stack_base(b.list_base, leaves, 1)
 
 
 @wp.kernel
@@ -279,7 +290,9 @@ def weld(slot: wp.int32, w: Weld):
     """Weld slice `slot`: write its triangles, edges and level from its words, with imports from earlier slices.
 
     The inner loop writes a leaf and finds the next leaf's third edge without a branch, which could not be predicted. It
-    stops before a rare leaf: the first or last of a square, on a shared side, or with an import.
+    stops before a rare leaf: the first or last of a square, on a shared side, or with an import. `w.stack` has the open
+    edges of both borders as (edge, vertex where it begins). third, far: number of the leaf's third edge, and of the
+    vertex to which the front moves.
     """
     b = base_of(w.counts, slot)
     leaves = wp.int32(w.counts[3 * slot])

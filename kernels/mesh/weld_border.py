@@ -2,7 +2,12 @@
 """Welding across root squares: sides that two squares share are kept per side, edge by edge.
 
 Squares are numbered row by row. A square reads its left and lower side, last edge first, and writes its right and upper
-side. `slot`: the slice's row in the arrays. `first_state`: its first entry in `Weld.state`. `b`: its first numbers.
+side. An edge's level is the depth of triangles whose longest edge it is; both of its leaves must agree on it. `w`: the
+arrays of all slices; `w.side_base` has the first entry of each square's right side in `w.side`, then, from `columns *
+rows` on, of each upper side. `slot`: the slice's row in the arrays. `first_state`: its first entry in `Weld.state`.
+`b`: its first numbers. The curve begins an edge at the end that is first in its triangle's order left, apex, right.
+Capital names after `first_state` are columns of `w.state`: SQUARE is the current square, LEFT, BELOW, RIGHT and ABOVE
+count the edges of its sides that were passed. `w.corners`: upper left and upper right vertex of each square.
 """
 
 import warp as wp
@@ -33,7 +38,8 @@ RIGHT_SIDE, UPPER_SIDE = wp.constant(2), wp.constant(3)
 def is_in_slice(w: Weld, slot: wp.int32, owner: wp.int32, passed: wp.int32, side: wp.int32) -> wp.bool:
     """Return whether slice `slot`, not an earlier one, made edge number `passed` of a side of square `owner`.
 
-    side: RIGHT_SIDE or UPPER_SIDE.
+    side: RIGHT_SIDE or UPPER_SIDE, a column of `w.before` [slices, 4]: edges on the sides of each slice's first square
+    that earlier slices have passed.
     """
     first = w.squares[slot]
     return owner > first or (owner == first and passed >= w.before[4 * slot + side])

@@ -3,6 +3,10 @@
 
 An import is a vertex or edge that an earlier slice made. Until join.py resolves it, it has the negative number -1 - i,
 where i is its index in the slice's list. `b`: the slice's first numbers. `first_state`: its first entry in `state`.
+
+The triangles that are welded so far form a strip along the curve. An edge of its left or right border of which only one
+triangle is known is open: it is on the border's stack. The front is the edge by which the curve enters the next leaf.
+An edge's level is the depth of triangles whose longest edge it is.
 """
 
 import warp as wp
@@ -57,12 +61,12 @@ class Weld:
 
 @wp.struct
 class Base:
-    """The first numbers that a slice gives, and the start of its part of the lists."""
+    """The first numbers that a slice gives, and where its part of each list begins."""
 
     triangle: wp.int32
     vertex: wp.int32
     edge: wp.int32
-    room: wp.int32  # first entry in each list: an entry for every leaf before it, and some
+    list_base: wp.int32  # its first entry in each list: one for every leaf before it, and SPARE for each slice before
 
 
 @wp.struct
@@ -82,7 +86,7 @@ class Strip:
 
 @wp.func
 def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
-    """Return the first numbers of slice `slot`, and where its part of the lists begins (`room`).
+    """Return the first numbers of slice `slot`, and where its part of the lists begins.
 
     counts: leaves, vertices and edges of each slice; those of the slices before are added up.
     """
@@ -91,17 +95,18 @@ def base_of(counts: wp.array(dtype=wp.int64), slot: wp.int32) -> Base:
         b.triangle += wp.int32(counts[3 * s])
         b.vertex += wp.int32(counts[3 * s + 1])
         b.edge += wp.int32(counts[3 * s + 2])
-    b.room = b.triangle + SPARE * slot
+    b.list_base = b.triangle + SPARE * slot
     return b
 
 
 @wp.func
-def stack_base(room: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
+def stack_base(list_base: wp.int32, leaves: wp.int32, side: wp.int32) -> wp.int32:
     """Return the first entry of a slice's stack of open edges for a side (0 left, 1 right); a spare entry is below it.
 
-    room: first entry of the slice in each list. leaves: number of the slice's leaves.
+    The array of stacks has two entries for each one of a list. list_base: first entry of the slice in each list.
+    leaves: number of the slice's leaves.
     """
-    return 2 * room + 1 + side * (leaves + 2)
+    return 2 * list_base + 1 + side * (leaves + 2)
 
 
 @wp.func
@@ -112,7 +117,7 @@ def add_import(w: Weld, b: Base, first_state: wp.int32, kind: wp.int32, value: w
     bits. value: which one of its kind, see the kinds above.
     """
     n = w.state[first_state + IMPORTS]
-    w.imports[2 * b.room + n] = wp.vec2i(kind, value)
+    w.imports[2 * b.list_base + n] = wp.vec2i(kind, value)
     w.state[first_state + IMPORTS] = n + 1
     return -1 - n
 

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points that rise to their places as the view comes nearer."""
+"""Geomorphing: new points move from the edge that they split to the surface as the view comes nearer."""

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement of geomorphing points, with normals that turn to those of the surface."""
+"""Displacement of geomorphing points, with normals that turn to those of the surface.
+
+A point has settled once it is on the surface, with the surface's normal. Its record, which the next frame reads, holds
+the surface there and the error of its diamond. A run is a sequence of points that this frame and the last one share.
+"""
 
 import warp as wp
 
@@ -64,7 +68,8 @@ def displace_morphing(
     Records for the next frame are written, too. Points of the last frame are copied in runs; they get new heights and
     normals unless they were settled (at their final height) and still are. Points are counted in the slice: point 0 is
     entry `point_base` of `points.point`, and vertex `vertex_base` of the mesh. slot: number of the thread's list of
-    runs. memory: the thread's scratch, emptied at first.
+    runs. memory: the thread's scratch, emptied at first. Calls of `fetch_...` only prefetch into the processor's cache
+    what points a few places ahead will read.
     """
     forget_all(memory)
     run, run_end = runs_of(points, slot)

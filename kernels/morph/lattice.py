@@ -70,10 +70,10 @@ def split_vertex(unit_bits: wp.int32, p: wp.vec2i) -> SplitVertex:
 
 @wp.func
 def diamond_above(unit_bits: wp.int32, v: SplitVertex, bisections: wp.int32) -> SplitVertex:
-    """Return the diamond `bisections` above that of v, the one with v's whole edge in one of its two triangles.
+    """Return the ancestor of the diamond of v that is `bisections` levels above and contains the edge that v splits.
 
-    unit_bits: a root square has 2^unit_bits lattice units a side. bisections: even, below v's depth. Two above, the
-    split vertex is that end of the edge which is two bisections older; the other end is older still.
+    unit_bits: a root square has 2^unit_bits lattice units a side. bisections: even, below v's depth. Each pass goes two
+    levels up: of the edge's ends, one is the split vertex of a diamond two levels above, and the other one is older.
     """
     for _ in range(bisections >> 1):
         end = v.left

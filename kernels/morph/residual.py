@@ -14,7 +14,7 @@ the recursion ends there. Sums over two settled ends depend on the terrain only.
 ends are certainly settled.
 
 `metres2` is the squared error of a point's diamond, m2, that the criterion compares; `settled_metres2` is the same of a
-settled point, and 0 of others.
+settled point, and 0 of others. `morphing`: the ramp of W and the records of both frames. `memory`: a thread's scratch.
 
 Warp passes structs by value, and the compiler undoes that only of a function with one caller: here all have one. A
 function that returns several structs still copies them, so the loop over waiting points is in `morphed_point`.
@@ -45,9 +45,10 @@ def surface_of(domain: Domain, layers: PackedLayers, p: wp.vec2i) -> wp.vec3d:
 
 @wp.func
 def relief_of(domain: Domain, a: SplitVertex):
-    """Return heights (Relief) and `metres2` of the diamond split at a.
+    """Return heights (Relief) and `metres2` of the diamond split at a, on which the morph weight of a depends.
 
-    The morph weight of a depends on them.
+    The heights are metres: the box's lowest (infinite beyond the raster's border) and highest one, and the largest
+    difference along an edge (rise).
     """
     r = Relief()
     d = diamond_at(domain, a.point[0], a.point[1], a.depth)
@@ -90,8 +91,8 @@ def ratio2_of(
 def weight_of(ramp: Ramp, ratio2: wp.float64) -> wp.float64:
     """Return the morph weight W of a point: 0 up to a ratio of 1, a smoothstep, and 1 from the ratio k on.
 
-    The smoothstep is one of 1 - 1 / ratio. ratio2: squared ratio of the point's diamond to the criterion, from
-    `ratio2_of`. ramp: has the ratio k.
+    The smoothstep is one of 1 - 1 / ratio, scaled by `ramp.steep` to reach 1 at k. ratio2: squared ratio of the point's
+    diamond to the criterion, from `ratio2_of`. ramp: has the ratio k (`end2` is its square).
     """
     one = wp.float64(1.0)
     weight = one
@@ -131,8 +132,9 @@ def evaluate_point(
     The pixel is the finest on the point's diamond. point, depth: lattice point and depth of its diamond. is_vertex: it
     is vertex `vertex` itself, not an end that it depends on; record and relief are then written for the next frame.
     last: the vertex's number in the last frame, -1 for none; the record of such a vertex is read, and its surface is
-    zero. clear_below: depth; the frustums contain the diamonds of all deeper points. Points up to depth
-    `ramp.bisections` have no diamond that judges them: their W is 1 and their pixel 0.
+    zero. clear_below: depth; the frustums contain the diamonds of all deeper points. If leaves are drawn as meshlets, a
+    point is judged by the diamond `ramp.bisections` levels above, else that is 0. Points up to that depth have no
+    diamond that judges them: their W is 1 and their pixel 0.
     """
     weight = wp.float64(1.0)
     pixel2 = wp.float64(0.0)
@@ -205,7 +207,8 @@ def morph_between(target: MorphedPoint, weight: wp.float64, ends: Ends) -> Morph
 def settled_above(morphing: Morphing, pixel2: wp.float64) -> wp.float64:
     """Return the squared error, metres, above which a point has certainly settled, so that its record is reused.
 
-    pixel2: squared metres that a pixel spans at most on the point's diamond.
+    pixel2: squared metres that a pixel spans at most on the point's diamond. A point has settled at k times the
+    permitted pixels of error: end2 is k squared, `limit` the squared factor by which the criterion is relaxed.
     """
     return pixel2 * morphing.ramp.end2 * morphing.ramp.limit * morphing.criterion.error_px2 * ABOVE
 
@@ -257,7 +260,8 @@ def no_ends() -> Ends:
 def wait_for_ends(memory: Memory, entry: wp.int32, target: MorphedPoint, weight: wp.float64, along: wp.vec2i):
     """Put a point on the stack of those that wait for the two ends of the edge that they split.
 
-    entry: of the stack. target: the point with a W of 1. weight: its W. along: half of that edge, from `half_edge`.
+    entry: index in the stack `memory.pending`. target: the point with a W of 1. weight: its W. along: half of that
+    edge, from `half_edge`.
     """
     waiting = Pending()
     waiting.left = target.point - along

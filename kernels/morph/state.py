@@ -16,10 +16,10 @@ class Ramp:
     """Parameters of the ramp on which the weight W increases from 0 to 1."""
 
     limit: wp.float64  # divisor of squared ratios: above 1 if a triangle limit coarsens the criterion
-    end2: wp.float64  # squared ratio k at which a point is in its place
+    end2: wp.float64  # squared ratio k at which a point reaches the surface
     steep: wp.float64  # 1 / (1 - 1 / k)
     bisections: wp.int32  # of meshlets: a point is judged by the diamond this number of bisections above
-    layers: PackedLayers  # none: there is no detail
+    layers: PackedLayers  # displacement layers; may be none
 
 
 @wp.struct

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernel that resamples the tiles of one lattice onto rows of the target grid.
 
+A *lattice* is the grid that source tiles of one coordinate system and spacing have in common. The target grid is
+divided into *blocks*; in each the columns and rows of the lattice are known at *nodes*, every `spacing` samples, and
+interpolated between them.
+
 A sample's result depends on its position alone: nodes have fixed positions, and the fraction inside a source cell is
 computed before the origin of the buffer is subtracted. So windows of any size have the same bits.
 """

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Lowest and highest heights of a box, metres after vertical scaling."""
+"""Lowest and highest heights of a box, metres after vertical scaling.
+
+`height_ranges`: stored ranges of heights, and bounds of the curvature of a bicubic surface.
+"""
 
 import warp as wp
 
@@ -14,7 +17,8 @@ from .surface import QueriedSurface, finer_cell, finer_tile, is_ground
 def heights_in(surface: QueriedSurface, p: wp.vec4d, s0: wp.float64, t0: wp.float64, s1: wp.float64, t1: wp.float64):
     """Return the lowest and highest height, metres after scaling, of a part of the bilinear patch with the corners p.
 
-    s0, t0, s1, t1: its west, south, east and north side, 0 .. 1. Displacement is not included.
+    p: metres before scaling. s0, t0, s1, t1: the part's west, south, east and north side, 0 .. 1 of the patch.
+    Displacement is not included.
     """
     z = wp.vec4d(bilinear(p, s0, t0), bilinear(p, s1, t0), bilinear(p, s0, t1), bilinear(p, s1, t1)) * surface.scale
     return wp.min(z) + surface.offset, wp.max(z) + surface.offset
@@ -32,7 +36,7 @@ def distance_from_corners(surface: QueriedSurface, height_ranges: HeightRanges, 
         finer_per_cell = wp.float64(wp.int64(1) << wp.int64(2 * surface.finer[0].bits))
         # A quarter of the norm of the second derivatives is not less than the sum over 8.
         bound = (
-            cell_curvature(height_ranges, i, j) / finer_per_cell * wp.abs(surface.scale) + height_ranges.more
+            cell_curvature(height_ranges, i, j) / finer_per_cell * wp.abs(surface.scale) + height_ranges.widening
         )  # the displacement
     return bound
 
@@ -52,10 +56,10 @@ def row_ranges(
 ):
     """Write to found[offset + tid] the lowest and highest height in row first_row + offset + tid of cells, in a box.
 
-    They are metres after scaling, and (infinity, -infinity) without ground. west .. north: sides of the box in cells
-    from the raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is exact and
-    without displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, or those of finer
-    cells with a bound of its distance from them, displacement included.
+    They are metres after scaling, and (infinity, -infinity) without ground. west, south, east, north: sides of the box
+    in cells from the raster's corner. first_column: first cell of the row. Holes do not count. A bilinear surface is
+    exact and without displacement, which the caller adds; a bicubic one has the stored ranges of whole cells, or those
+    of finer cells with a bound of its distance from them, displacement included.
     """
     n = offset + wp.tid()
     j = first_row + n

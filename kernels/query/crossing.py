@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A ray in one cell: where it meets the surface there.
 
-Ray minus bilinear surface is a parabola along the ray, whose root is solved for. Of a bicubic surface, and of one with
-detail, the ray goes on by steps that Taylor's formula allows: with the second derivative bounded by 2 G along the ray,
-height e and its slope e', nothing is met before e + e' d - G d^2 = 0 (as in Kalra and Barr 1989, "Guaranteed ray
-intersections with implicit surfaces"). Near a crossing these are Newton's steps. All arithmetic is float64. Heights are
-metres after vertical scaling.
+Ray minus bilinear surface is a parabola along the ray, whose root is solved for. Over a bicubic surface, or one with
+displacement layers (detail), the ray advances by steps that Taylor's formula allows: with the second derivative bounded
+by 2 G along the ray, height e and its slope e', nothing is met before e + e' d - G d^2 = 0 (as in Kalra and Barr 1989,
+"Guaranteed ray intersections with implicit surfaces"). Near a crossing these are Newton's steps. All arithmetic is
+float64. Heights are metres after vertical scaling.
+
+After t metres a ray is at column u + t du and row v + t dv, in cells, and at the height z + t dz, metres. NOWHERE is
+an infinite t. `part`: the segment of the ray in cell (i, j) from t = `first` to `last`, and the side where it begins.
+`height_ranges`: stored ranges of heights over blocks of cells, widened by the displacement, and bounds of curvature.
 """
 
 import warp as wp
@@ -32,7 +36,7 @@ class HeightRanges:
     spare: wp.float64  # metres, more than the rounding of these two
     base: wp.float64  # a height is base + q * step metres
     step: wp.float64
-    more: wp.float64  # largest displacement by detail, up or down, metres; it is not in the ranges
+    widening: wp.float64  # metres by which the ranges are widened: the displacement, which they leave out, and rounding
     first: wp.array(dtype=wp.int64)  # of each group of levels: its first entry
     pages: wp.array(dtype=wp.int32)
     ranges: wp.array(dtype=wp.uint16)  # lowest and highest q of each entry
@@ -79,7 +83,7 @@ def range_at(height_ranges: HeightRanges, entry: wp.int64):
         height_ranges.base
         + wp.float64(item_at(height_ranges.ranges, wp.int64(2) * entry + wp.int64(1))) * height_ranges.step
     )
-    return smaller(a, b) - height_ranges.more, larger(a, b) + height_ranges.more
+    return smaller(a, b) - height_ranges.widening, larger(a, b) + height_ranges.widening
 
 
 @wp.func
@@ -162,8 +166,8 @@ def cell_range(surface: QueriedSurface, height_ranges: HeightRanges, i: wp.int32
         p = corners_of(surface.samples, i, j)
         a = wp.min(p) * surface.scale + surface.offset
         b = wp.max(p) * surface.scale + surface.offset
-        low = smaller(a, b) - height_ranges.more
-        high = larger(a, b) + height_ranges.more
+        low = smaller(a, b) - height_ranges.widening
+        high = larger(a, b) + height_ranges.widening
     return low, high
 
 
@@ -192,7 +196,8 @@ def half_curvature_along(
         quarter_norm = cell_curvature(height_ranges, i, j)  # of the second derivatives, metres over squared cells
         curvature = wp.float64(2.0) * quarter_norm * cells2
         if finer_twist >= wp.float64(0.0):
-            # The differences between the surfaces at finer samples have the twists of both.
+            # The surface is bicubic plus the bilinear interpolation of differences at the finer cell's corners. Their
+            # twist is at most the finer samples' plus the bicubic surface's.
             curvature += (finer_twist + wp.float64(4.0) * quarter_norm) * wp.abs(ray.du * ray.dv)
     elif finer_twist >= wp.float64(0.0):  # in a finer cell
         curvature = finer_twist * wp.abs(ray.du * ray.dv)
@@ -213,12 +218,13 @@ def in_curved(
     finer_twist: wp.float64,
     finer: wp.vec2i,
 ):
-    """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and its side before that.
+    """Return (t, side): where the ray meets a bicubic or displaced surface in a segment, and the ray's side before.
 
     t is infinite if they meet nowhere; the side is then that at the segment's end, too. They meet where the ray is
     `part.slack` metres beyond the surface. side: 1 above, -1 below, 0 if it is unknown and the ray is on the surface.
-    The segment is in one raster cell if `finer_twist` is negative, else in the finer cell `finer` with that twist (see
-    `half_curvature_along`). The ray advances by steps in which the bounded second derivative rules out a crossing.
+    finer_twist: in the finer cell `finer`, the absolute second difference of its corner heights (see
+    `half_curvature_along`); negative in a raster cell. The ray advances by steps in which the bounded second derivative
+    rules out a crossing. After MAX_STEPS, which only a damaged store can need, it meets nothing.
     """
     zero = wp.float64(0.0)
     curvature = half_curvature_along(surface, height_ranges, ray, part.i, part.j, finer_twist)
@@ -333,6 +339,7 @@ def in_finer_cells(surface: QueriedSurface, height_ranges: HeightRanges, ray: Ra
         else:
             piece.i = part.i
             piece.j = part.j
+            # scale^2: from squared finer cells to squared raster cells, as the twist is a second derivative.
             hit, side = in_curved(surface, height_ranges, ray, piece, twist_of(corners) * scale * scale, wp.vec2i(i, j))
         piece.first = piece.last
         if to_x <= to_y:

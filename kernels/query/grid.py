@@ -17,7 +17,7 @@ def grid_heights(
     heights: wp.array(dtype=wp.float64),
     inside: wp.array(dtype=wp.bool),
 ):
-    """Write the heights of row `offset + tid` of a grid, and whether there is ground; holes have heights, too.
+    """Write `heights` of row `offset + tid` of a grid, and to `inside` whether there is ground. Holes have heights.
 
     columns, rows: cell of the raster that contains each column and row of the grid. across, up: position in that cell,
     0 .. 1. So the height at a sample of the raster or of a finer tile has the bits of that sample.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Heights and normals at points of the plan, after vertical scaling."""
+"""Heights and normals at points of the plan, after vertical scaling: height * surface.scale + surface.offset."""
 
 import warp as wp
 
@@ -56,7 +56,8 @@ def ground_at(
 ):
     """Write height, unit normal and slope (radians) of the ground at the points of block `offset + tid`.
 
-    They are NaN, and `inside` is false, where there is no ground. places: metres.
+    They are NaN, and `inside` is false, where there is no ground. places [count], and so the results: x and y, metres.
+    A block has BLOCK points.
     """
     begin = (offset + wp.tid()) * BLOCK
     cells_x = surface.samples.columns - 1

@@ -5,7 +5,12 @@ Blocks are the diamonds at the middles of squares of 2^k cells a side (k = 2, 4 
 has; a ray climbs to larger blocks while it clears them and descends where it does not (Tevs, Ihrke and Seidel 2008,
 "Maximum mipmaps for fast, accurate, and scalable dynamic height field rendering"; here with minima, as a ray may also
 come from below). Cells are left by their number, never by a rounded coordinate, and a change of sides between two cells
-is a crossing, so that no ray slips through. crossing.py solves for the crossing in a cell.
+is a crossing, so that no ray slips through. crossing.py solves for the crossing in a cell. `part`: the segment of the
+ray in a cell or block. `height_ranges`: the stored ranges of heights over blocks.
+
+After t metres a ray is at column u + t du and row v + t dv, in cells, and at the height z + t dz, metres. A segment is
+in cell (i, j) from t = `first` to `last`; `side` is where it begins: 1 above the surface, -1 below, 0 unknown. NOWHERE
+is an infinite t.
 """
 
 import warp as wp
@@ -21,7 +26,10 @@ STEP = wp.constant(2)  # from a block to the next larger: 2^2 times its side; th
 
 @wp.func
 def block_range(height_ranges: HeightRanges, bits: wp.int32, x: wp.int32, y: wp.int32):
-    """Return the lowest and highest height (metres) in block (x, y) of 2^bits cells a side."""
+    """Return the lowest and highest height (metres) in block (x, y) of 2^bits cells a side.
+
+    They are stored for the diamond that is split at the block's middle, by coordinates in halves of the block's side.
+    """
     group = bits / STEP - 1
     index = tile_index(1 + 2 * x, 1 + 2 * y, item_at(height_ranges.pages, group))
     return range_at(height_ranges, item_at(height_ranges.first, group) + index)
@@ -49,7 +57,8 @@ def enter(surface: QueriedSurface, height_ranges: HeightRanges, ray: Ray, end: w
     """Return (first, last, side): the part of t = 0 .. end in which the ray may meet the surface, and the ray's side.
 
     The part is empty if first > last. side: that at the part's beginning; known: that at t = 0; 1 above the surface, -1
-    below, 0 unknown.
+    below, 0 unknown. height_ranges: here the surface's lowest and highest height, and `spare`, metres above their
+    rounding.
     """
     zero = wp.float64(0.0)
     first, last = within(zero, end, ray.u, ray.du, zero, wp.float64(surface.samples.columns - 1))
@@ -94,7 +103,7 @@ def way_out(
     out = larger(first, smaller(smaller(to_x, to_y), last))
     line = line_x
     if to_x <= to_y:  # it crosses a column
-        i = line_x + east - 1
+        i = line_x + east - 1  # the cell to the east of the line, or to the west
         j = wp.clamp(wp.int32(wp.floor(ray.v + out * ray.dv)), y << bits, wp.min((y + 1) << bits, cells_y) - 1)
     else:
         line = line_y
@@ -211,7 +220,10 @@ def pick(
     directions: wp.array(dtype=wp.vec3d),
     distance: wp.array(dtype=wp.float64),
 ):
-    """Write the distance along unit direction `offset + tid` to the first hit, metres; infinite if it misses."""
+    """Write the distance along ray `offset + tid` to its first hit, metres; infinite if it misses.
+
+    origins: metres, after vertical scaling. directions: of length 1. Each array has an entry for every ray.
+    """
     n = offset + wp.tid()
     ray = ray_of(surface, origins[n], directions[n])
     distance[n] = first_hit(surface, height_ranges, ray, NOWHERE, wp.float64(0.0), wp.float64(0.0), height_ranges.top)

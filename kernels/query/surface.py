@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The surface of queries: a height field at full resolution, as the displacement samples it."""
+"""The surface of queries: a height field at full resolution, as the displacement samples it.
+
+Cell (i, j) is in column i and row j, counted from the south-west. A raster cell has 2^finer.bits finer cells a side
+where it has a finer tile. Metres after scaling are height * surface.scale + surface.offset.
+"""
 
 import warp as wp
 

@@ -22,9 +22,9 @@ def in_sight(
 ):
     """Write whether the eye sees a point `target` metres above sample first + offset + tid.
 
-    It does if no ground rises above the line between them; a sample inside a hole is not seen. seen: from entry 0 for
-    sample 0. eye: metres, after vertical scaling. radius2: squared horizontal distance, m2, beyond which nothing is
-    seen. slack: metres that ground must rise above the line to hide.
+    It does if no ground rises above the line between them; a sample inside a hole is not seen. seen: an entry for each
+    sample of the raster. eye: metres, after vertical scaling. radius2: squared horizontal distance, m2, beyond which
+    nothing is seen. slack: metres that ground must rise above the line to hide.
     """
     n = first + offset + wp.tid()
     row = n / surface.samples.columns

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blocks: triangles bisected evenly n times, whose leaves are copied from a table instead of walked.
 
-Where edge lengths alone decide, zones of equal depth surround the eye: in a mesh of one million leaves over a plain,
-two thirds of the leaves are in blocks.
+Leaves are in the order of the Sierpinski curve; a triangle's curve state (0 .. 5) says by which edges the curve enters
+and leaves it (curve.py). Where edge lengths alone decide, zones of equal depth surround the eye: in a mesh of one
+million leaves over a plain, two thirds of the leaves are in blocks.
 """
 
 import warp as wp
@@ -18,7 +19,7 @@ class BlockTable:
 
     first_leaf: wp.array(dtype=wp.int32)  # in `code`
     first_vertex: wp.array(dtype=wp.int32)  # in `leg`
-    vertices: wp.array(dtype=wp.int32)  # new vertices of the block
+    vertices: wp.array(dtype=wp.int32)  # number of new vertices of the block
     code: wp.array(dtype=wp.uint16)  # a leaf's curve state
     # A new vertex (a, b): apex + (a (left - apex) + b (right - apex)) / 2^ceil(n / 2).
     leg: wp.array(dtype=wp.vec2i)
@@ -48,9 +49,9 @@ def write_block(
 
     state: the curve's state in the triangle (left, apex, right), lattice units. bisections: their number, the same for
     all leaves, at most MAX_BISECTIONS. extra: bits of each leaf's word besides its state. Words go to code[first_code]
-    on, vertices to point[first_point] on.
+    on, vertices to point[first_point] on. The table has vertices as offsets from the apex in fractions of the legs.
     """
-    entry = 6 * bisections + state
+    entry = 6 * bisections + state  # the table has six states for each number of bisections
     first = item_at(blocks.first_leaf, entry)
     copy_codes(blocks.code, wp.int64(first), 1 << bisections, extra, code, first_code)
     first = item_at(blocks.first_vertex, entry)

@@ -6,8 +6,13 @@ subtree stores two margins: by how much footprints may fall or rise before a dec
 lists of ROAM; Duchaineau et al. 1997). While the margins last, the next frame copies the subtree's leaves. The mesh is
 the same as without a cache.
 
-`low`, `high`: corners of a box, metres in terrain space. Gain: factor by which footprints of heights are coarser than
-those of edges.
+`motion`: the movement of the view since the last frame. `low`, `high`: corners of a box, metres in terrain space.
+Slant: fraction of a height that the view sees, here over the frame's largest. Slant times depth is the length of a
+vector whose two components are linear in the position: `slant_x` and `slant_y` are their rows of coefficients. Gain:
+factor by which footprints of heights are coarser than those of edges. `view.depth` and `view.planes` have the
+coefficients of the depth and of the distance inside each frustum plane; the fringe is a zone beyond the planes over
+which footprints become coarser gradually. Camera space: terrain space scaled as the camera sees it; `view.weight`
+scales squared offsets.
 """
 
 import warp as wp
@@ -82,8 +87,8 @@ def change_of(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
     They hold in any box inside low .. high (metres). valid: 0 if an eye is near the box or in it, else 1. motion:
     movement of the view since the last frame. The view is not orthographic. A panorama's footprint is proportional to
     the least distance in a box, a perspective's to the larger of two values: the least depth, and the least distance
-    times a cosine. Depths change linearly. The distance of a point p from eyes a and b changes by an amount that varies
-    over p by at most 2 |a - b| / (|p - a| + |p - b|) per metre.
+    times a cosine. The change of depth is linear in the position. The change of distance is |p - b| - |p - a| at a
+    point p, for the eyes a before and b now. Per metre of p it varies by at most 2 |a - b| / (|p - a| + |p - b|).
     """
     half = wp.float64(0.5)
     centre = half * (low + high)
@@ -116,7 +121,7 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
     in this view and in the last. step: movement of the eye, metres. low, high: corners of the rectangle relative to the
     eye before.
     """
-    products = ends_of(before, low, high)
+    products = ends_of(before, low, high)  # least and largest row . (x, y) before
     growth = ends_of(now - before, low, high)
     # now . (p - eye) - before . (p - eye before) = (now - before) . (p - eye before) - now . step
     by_step = now[0] * step[0] + now[1] * step[1]
@@ -132,10 +137,10 @@ def slant_change(now: wp.vec2d, before: wp.vec2d, step: wp.vec2d, low: wp.vec2d,
 
 @wp.func
 def slant_factors(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
-    """Return bounds (lower, upper) of the factor by which the squared largest slant times depth has changed in any box.
+    """Return bounds (lower, upper) of the factor by which the largest (slant * depth)^2 in a box has changed.
 
-    The boxes are inside low .. high, metres. motion: the movement of the view since the last frame, which has caused
-    the change. If the product may have been 0, the lower bound may be -infinity and the upper one infinity.
+    They hold in any box inside low .. high, metres. motion: the movement of the view since the last frame, which has
+    caused the change. If slant * depth may have been 0, the bounds may be -infinity and infinity.
     """
     low_offset = wp.vec2d(low[0] - motion.eye[0], low[1] - motion.eye[1])
     high_offset = wp.vec2d(high[0] - motion.eye[0], high[1] - motion.eye[1])
@@ -172,9 +177,9 @@ def footprint_factors(
 
     low, high: metres. fall, rise: least and largest growth of depth or distance in that box since the last frame,
     metres. measures_edges: 1 if the bounds must hold for footprints of edges, too. valid: 1, or 0 if nothing is known.
-    Footprints are proportional to depth times gain; the gain is depth / (slant * depth), clamped to 1 .. the largest.
-    If it is clamped to the same end in all boxes, before and now, it is returned and the factors exclude the change of
-    depth; otherwise they include it and the returned gain is 0.
+    Footprints are proportional to depth times gain. The gain is 1 / slant, here computed as depth / (slant * depth),
+    and is clamped to 1 .. the largest. If it is clamped to the same end in all boxes, before and now, it is returned
+    and the factors exclude the change of depth; otherwise they include it and the returned gain is 0.
     """
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
@@ -199,7 +204,7 @@ def footprint_factors(
         min_gain2 = zero  # footprints of edges have no gain
     valid = wp.int32(1)
     gain2 = zero
-    # Bounds of the factor where the gain is not clamped.
+    # Bounds of the factor where the gain is not clamped: footprints are then depth^2 / (slant * depth).
     lowest = min_depth_factor * min_depth_factor / wp.sqrt(slants2[1])
     highest = max_depth_factor * max_depth_factor / wp.sqrt(slants2[0])
     smaller_limit2 = smaller(view.max_gain2, motion.max_gain2)
@@ -273,8 +278,10 @@ def fade_change(view: LocalView, motion: Motion, low: wp.vec3d, high: wp.vec3d):
 def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, subtree: Subtree):
     """Return (lower, upper, valid): bounds of the change of pixel footprints in any box of a subtree, metres.
 
-    The change is that since the last frame. measures_edges: 1 if the criterion limits edges. valid: 1, or 0 if nothing
-    is known.
+    The change is that since the last frame. measures_edges: 1 if the criterion limits edges. subtree: has the box of
+    its diamonds (low, high) and the finest and coarsest pixel footprint (fine, coarse, metres) on their boxes when it
+    was cached. motion.ratio: footprint at unit depth over that of the last frame. motion.drift: fraction by which
+    lengths may have changed. valid: 1, or 0 if the change has no bound.
     """
     one = wp.float64(1.0)
     min_growth = wp.float64(0.0)
@@ -305,7 +312,7 @@ def footprint_change(view: LocalView, motion: Motion, measures_edges: wp.int32, 
     # metre, and the relative changes `fall` and `rise` of the rest.
     min_growth = min_growth * wp.where(min_growth < zero, faded[3], faded[2])
     max_growth = max_growth * wp.where(max_growth > zero, faded[3], faded[2])
-    # Footprints drift, and so do those at which verdicts change.
+    # Footprints drift, and so do those at which verdicts change: both together by less than 4 times `drift`.
     margin = (ROUNDED + wp.float64(4.0) * motion.drift) * subtree.coarse
     min_growth = min_growth * footprint_per_metre + smaller(fall * subtree.fine, fall * subtree.coarse) - margin
     max_growth = max_growth * footprint_per_metre + larger(rise * subtree.fine, rise * subtree.coarse) + margin

@@ -3,7 +3,8 @@
 
 Child 0 of a triangle (left, apex, right) is (left, middle, apex), child 1 is (apex, middle, right): depth-first order
 is the Sierpinski curve, so consecutive leaves share an edge. A leaf is entered and left through known edges; whether
-its third edge was passed before is carried down the walk in a state of three bits.
+its third edge was passed before is carried down the walk in a state of three bits. Cells are the triangles at the
+greatest depth, numbered along the curve in a square; a triangle is located by its first cell.
 
 Root squares are walked row by row, each a closed curve from its upper left corner, counter-clockwise along its border:
 left side down, bottom right, right side up, top left. So a side that a square shares with an earlier one is passed in
@@ -47,7 +48,10 @@ def left_state(state: wp.int32) -> wp.int32:
 
 @wp.func
 def right_state(state: wp.int32, cell: wp.uint64) -> wp.int32:
-    """Return the state (3 bits) of the curve in child 1 of a triangle. cell: the triangle's first deepest cell."""
+    """Return the state (3 bits) of the curve in child 1 of a triangle whose state is `state`, from a table.
+
+    cell: the triangle's first deepest cell, counted in the square. Bit 0 is 1 if the third edge was passed before.
+    """
     s = (RIGHT_STATES >> (4 * state)) & 7
     if cell == wp.uint64(0):
         s = s & 6  # the curve starts on the border: the other half of its entry edge was never passed

@@ -4,6 +4,11 @@
 A diamond's box contains all vertices of its descendants, so the children's boxes are inside it. The heights of the box
 and its error are saturated the same way. All computations with them are monotone, also in rounded arithmetic, so a
 child never exceeds a parent.
+
+A diamond is given by its depth and by the lattice point (x, y) at which it is split. A root square has 2^unit_bits
+lattice units and 2^levels raster cells a side; where the raster ends before the squares do, they are padded. Stored
+heights and ranges are metres before vertical scaling, ranges as codes of 16 bits. Finer tiles are squares of finer
+samples that replace the raster in places; a raster cell has 2^finer.bits finer cells a side.
 """
 
 import warp as wp
@@ -52,6 +57,7 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
         max_code = wp.int32(0)
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
+                # From entry 2 * range_cells on, `ranges` has two codes for each raster cell.
                 index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
                 min_code = wp.min(min_code, wp.int32(item_at(domain.ranges, index)))
                 max_code = wp.max(max_code, wp.int32(item_at(domain.ranges, index + wp.int64(1))))
@@ -75,19 +81,22 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
 def range_entry(domain: Domain, x: wp.int32, y: wp.int32, levels_up: wp.int32) -> wp.int64:
     """Return the index of the lower code of a diamond's height range in `domain.ranges`; the upper one follows.
 
-    (x, y): where the diamond is split. levels_up: bisections above the finest diamonds that have stored ranges.
+    (x, y): where the diamond is split. levels_up: bisections above the finest diamonds that have stored ranges. Four
+    depths form a group with one array, which has an entry for each vertex of a grid of 2 * 4^group cells a step. Each
+    diamond of these depths is split at another vertex of this grid, so none share an entry.
     """
     group = levels_up >> 2
-    shift = domain.unit_bits - domain.levels + 1 + 2 * group
+    shift = domain.unit_bits - domain.levels + 1 + 2 * group  # log2 of the grid's step, lattice units
     entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
     return wp.int64(2) * (item_at(domain.range_first, group) + entry)
 
 
 @wp.func
 def leaves_range_tile(domain: Domain, depth: wp.int32) -> wp.bool:
-    """Return whether the ranges of diamonds below those of `depth` are in other tiles: every four bisections.
+    """Return whether the ranges of the next depth are elsewhere in memory: each four depths share an array.
 
-    It is false if no ranges are stored below `depth`.
+    Ranges are stored down to depth 2 * levels - 2, and arrays are counted from there up. The result is false if no
+    ranges are stored below `depth`.
     """
     levels_up = 2 * domain.levels - 2 - depth
     return (levels_up & 3) == 0 and levels_up > 0
@@ -141,22 +150,24 @@ def range_at(
         r = intersect_range(domain, x, y, levels_up, in_tiles, r)
     elif levels > 1:
         cell = wp.int32(1) << (domain.unit_bits - levels)
-        # The finest stored diamonds are split at the middles of sides of squares of 4 x 4 cells: in units of 2 cells,
-        # at points of which the sum of both coordinates is odd.
+        # The finest stored diamonds, of which this one is a child or grandchild, are split at the middles of sides of
+        # squares of 4 x 4 cells: in units of 2 cells, at points of which the sum of both coordinates is odd.
         if levels_up == -1:  # (x, y) is the centre of a square of 2 x 2 cells: two of its corners are such points
+            # Whether they are the ends of the falling or of the rising diagonal.
             is_falling = ((((x - cell) + (y - cell)) / (2 * cell)) & 1) == 0
             cell_y = wp.where(is_falling, -cell, cell)
             r = intersect_range(domain, x - cell, y - cell_y, 0, in_tiles, r)
             r = intersect_range(domain, x + cell, y + cell_y, 0, in_tiles, r)
-        else:  # the middle of a side of one: such are one of the side's ends, and the points 2 cells beside the other
-            along = wp.where((x & cell) != 0, cell, 0)
-            across = cell - along
-            towards_stored = wp.where((((x - along) + (y - across)) / (2 * cell) & 1) == 1, 1, -1)
-            along = along * towards_stored
-            across = across * towards_stored
-            r = intersect_range(domain, x - along, y - across, 0, in_tiles, r)
-            r = intersect_range(domain, x + along + 2 * across, y + across + 2 * along, 0, in_tiles, r)
-            r = intersect_range(domain, x + along - 2 * across, y + across - 2 * along, 0, in_tiles, r)
+        else:  # (x, y) is the middle of a side of such a square: (dx, dy) is half of the side
+            dx = wp.where((x & cell) != 0, cell, 0)
+            dy = cell - dx
+            # Such points are one end of the side, and the two points that are 2 cells beside its other end.
+            towards_other = wp.where((((x - dx) + (y - dy)) / (2 * cell) & 1) == 1, 1, -1)
+            dx = dx * towards_other
+            dy = dy * towards_other
+            r = intersect_range(domain, x - dx, y - dy, 0, in_tiles, r)
+            r = intersect_range(domain, x + dx + 2 * dy, y + dy + 2 * dx, 0, in_tiles, r)
+            r = intersect_range(domain, x + dx - 2 * dy, y + dy - 2 * dx, 0, in_tiles, r)
     return r
 
 
@@ -168,7 +179,7 @@ def meets_tiles_alone(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32)
     """
     levels = domain.levels + domain.finer[0].bits  # a root square has 2^levels finer cells a side
     is_inside = wp.bool(False)
-    if depth > 2 * (levels - STORED_BITS):  # tiles have ranges for it
+    if depth > 2 * (levels - STORED_BITS):  # tiles have ranges of squares of up to 2^STORED_BITS finer cells a side
         reach = reach_of(domain.unit_bits, depth)
         finer_cell_bits = domain.unit_bits - levels
         cell_bits = domain.unit_bits - domain.levels
@@ -226,8 +237,9 @@ def inside_tiles(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, d: D
     detail = domain.max_detail * domain.error_scale
     rise = wp.abs(z1 - z0)
     if depth > 2 * levels:
-        # Inside a finer cell the surface is bilinear, but for a part of a bicubic patch. That part climbs at most
-        # 6 `off` a cell, of which `rise` includes 2.
+        # In a finer cell the surface is bilinear plus a bicubic difference of at most `off` metres. The difference
+        # climbs at most 6 `off` over a cell, of which `rise` includes 2. An edge at an odd depth is a diagonal and
+        # counts as two sides.
         parts_a_side = wp.float64(wp.int64(1) << wp.int64(((depth - 1) >> 1) - levels))
         steepest = rise + wp.float64(4.0) * domain.finer[0].off * domain.error_scale
         rise = smaller(steepest * (wp.float64(1 + (depth & 1)) / parts_a_side), rise)
@@ -282,8 +294,10 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
     )
     d.rise = d.high[2] - d.low[2]
     if depth > 2 * domain.levels:
-        # Inside a bilinear patch heights change in proportion to |dx| + |dy|; of a bicubic one by three times that at
-        # most: its slopes are means of three times the differences of its control heights.
+        # Inside a bilinear patch a height changes by at most the box's height times |dx| + |dy|, in cells. A bicubic
+        # patch is up to three times as steep: the slope of a cubic Bezier curve is a mean of three times the
+        # differences of adjacent control heights, which the box contains. The longest edge is a diagonal of a square at
+        # odd depths, with |dx| + |dy| of two sides, and a side at even depths.
         parts_a_side = wp.float64(wp.int64(1) << wp.int64(halvings - domain.levels))
         climb = wp.float64((1 + odd) * wp.where(domain.bicubic == 1, 3, 1))
         d.rise = d.rise * smaller(climb / parts_a_side, wp.float64(1.0))
@@ -292,23 +306,24 @@ def diamond_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> Dia
         climb = wp.float64(domain.detail[depth][1])  # of the layers, along an edge
         if domain.has_finer == 1:
             change = change_limits(domain, x, y, depth)  # by finer tiles: largest magnitude and slope
-            side = wp.float64(wp.int32(1) << (domain.unit_bits - halvings))  # of the cell, lattice units
-            longest = side * (domain.unit_x + domain.unit_y)
+            side = wp.float64(wp.int32(1) << (domain.unit_bits - halvings))  # of the square, lattice units
+            longest = side * (domain.unit_x + domain.unit_y)  # |dx| + |dy| of its diagonal, metres
             max_displacement += wp.float64(change[0])
+            # The changes at an edge's ends differ by at most twice the magnitude, and by at most slope times length.
             climb += smaller(wp.float64(2.0) * wp.float64(change[0]), wp.float64(change[1]) * longest)
         displacement = wp.vec3d(wp.float64(0.0), wp.float64(0.0), max_displacement * domain.error_scale)
         d.low = d.low - displacement
         d.high = d.high + displacement
         d.rise += climb * domain.error_scale
         if domain.has_finer == 1:
-            if meets_tiles_alone(domain, x, y, depth):
+            if meets_tiles_alone(domain, x, y, depth):  # the heights of these tiles may allow a smaller box
                 d = inside_tiles(domain, x, y, depth, d)
     return d
 
 
 @wp.func
 def rest_of(domain: Domain, d: Diamond) -> wp.float64:
-    """Bound the error, metres, that float32 positions add in a diamond's box; it is nested, as boxes are.
+    """Bound the error, metres, that float32 positions add in the box of diamond d; it is nested, as boxes are.
 
     It is the rounding of heights plus `lean`: rounded plane coordinates move a facet sideways, and so change its height
     by up to that distance times its slope. The height of the box bounds the slope. Near the anchor, the zero of the
@@ -327,9 +342,10 @@ def metres2_of(domain: Domain, error: wp.float32, rest: wp.float64) -> wp.float6
     """Return the squared metres of height that the criterion compares for a diamond's stored error.
 
     error: metres before scaling. rest: metres, from `rest_of`. The total error is the sum of the stored (geometric)
-    error e, float32 rounding (`rest`), and the source's rounding. Refinement reduces e only. If float32 rounding comes
-    near the tolerance, e is required to meet a quarter of it, not less; if the source's rounding does, four fifths. If
-    e is at most `domain.enough`, a quarter of the two roundings, refining gains nothing, and the result is 0.
+    error e, float32 rounding (`rest`), and the source's rounding. Refinement reduces e only, so roundings count only up
+    to a multiple of e: with float32's the sum is at most 4 e, with the source's at most 1.25 times that. So no split is
+    required once e is a fifth of the tolerance. If e is at most `domain.enough`, a quarter of the two roundings,
+    refining gains nothing, and the result is 0.
     """
     e = wp.float64(error) * domain.error_scale
     with_rest = smaller(e + rest, wp.float64(4.0) * e)

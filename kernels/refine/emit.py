@@ -1,7 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Output of a walk: a word per leaf and a point per new vertex. Leaves beyond the capacity are only counted.
 
-`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far.
+A walk visits a slice: a contiguous part of the Sierpinski curve over all root squares, located by the numbers of the
+deepest cells along it. A leaf's word has 16 bits: its curve state, its depth and flags (curve.py). An even block is all
+leaves below a triangle if they have one depth; it is written at once.
+
+`w`: the slice's Walk; its words and points begin at entry `w.leaf_base`, with room for `w.leaf_capacity`. `q`: its
+current square; `q.start` is the square's first cell in the slice. `c`: its cursor, with the triangle's first `cell` in
+the square. `n`: its counts so far.
 """
 
 import warp as wp
@@ -31,7 +37,7 @@ from .walk_state import Cursor, Square, Walk, Written
 
 @wp.func
 def count_side(domain: Domain, w: Walk, q: Square, side: wp.int32):
-    """Count one more edge on a side of square q in `w.sides`.
+    """Count one more edge on a side of square q in `w.sides`, which has four counts for each slice and square.
 
     side: 0 for an edge that the square to the left has already written, 1 for one that the square below has; 2 for one
     that the square to the right will use, 3 for one that the square above will.
@@ -68,7 +74,9 @@ def emit_entry(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
 def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     """Write the word and the new vertices of the leaf at the cursor; return the numbers of new vertices and edges.
 
-    Edges on sides that squares share are counted in `w.sides`, too.
+    Edges on sides that squares share are counted in `w.sides`, too. The role of the leaf's third edge says whether the
+    square to the left or below has already made it (TAKE_LEFT, TAKE_BELOW), whether a later square will read it
+    (GIVE_RIGHT, GIVE_ABOVE), or whether only its end is an existing corner (TO_CORNER).
     """
     code = leaf_word(c.state, c.depth)
     vertices = wp.int32(0)
@@ -81,7 +89,7 @@ def emit_leaf(domain: Domain, w: Walk, q: Square, c: Cursor, n: Written):
     known, new = third_edge(c.state, c.left, c.apex, c.right)
     if n.leaves < w.leaf_capacity:
         put(w.point, w.leaf_base + n.vertices + wp.int64(vertices), new)  # stays only if it is new
-    new_edge = 1 - (c.state & 1)
+    new_edge = 1 - (c.state & 1)  # bit 0: the curve has passed the third edge before
     new_vertex = new_edge  # a new edge ends on a new vertex, except on the border of a square
     if w.grid == 1 and new_edge == 1:  # there are several squares
         role = border_role(known, new, q.corner, q.side, q.column, q.row, domain.columns, domain.rows)

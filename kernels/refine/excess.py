@@ -10,7 +10,10 @@ Each triangle is judged by its tight box (tight_box.py).
 A leaf that is large compared with its distance is divided further. Each part counts with its distance, and with the
 largest distance of the surface in it from the triangle that is drawn there.
 
-The leaves are those at a given depth, or all leaves of the tree.
+The leaves are those at a given depth, or all leaves of the tree. Lengths in the plan are lattice units: a root square
+has 2^unit_bits units and 2^levels raster cells a side, so a triangle deeper than 2 * levels is inside a cell.
+
+`t`: the triangle. `criterion`: limits of errors and edges, and the views.
 """
 
 import warp as wp
@@ -101,7 +104,8 @@ def error_below(domain: Domain, t: Triangle, x: wp.int32, y: wp.int32, deepest: 
         halvings_lost = wp.where((t.depth & 1) == 0, 0, 1)
         falls = wp.max(halvings_at(domain, deepest) - halvings_at(domain, t.depth) - halvings_lost, 0)
         if domain.bicubic == 0 and i < domain.samples.columns - 1 and j < domain.samples.rows - 1:
-            # The triangles of the leaf's meshlet are 2 * levels - border_depth bisections deeper.
+            # A leaf is drawn as a meshlet, whose triangles are 2 * levels - border_depth bisections deeper (0 if it is
+            # drawn as itself).
             falls = halvings_at(domain, deepest) + 2 * domain.levels - domain.border_depth
             error = wp.float64(0.25) * twist_of(corners_of(domain.samples, i, j))
         error = error / wp.float64(wp.int64(1) << wp.int64(falls))
@@ -147,7 +151,8 @@ def distance_from_plane(domain: Domain, t: Triangle) -> wp.float64:
     """Return the largest distance, metres before scaling, of the surface from the plane of the drawn triangle.
 
     It is rounded up and taken over the bounding rectangle of a triangle inside one cell. There the difference is a
-    saddle, whose extremes are at corners.
+    saddle, whose extremes are at corners. t.drawn: apex of the drawn triangle, which contains t. t.plane: height there,
+    and slopes along x and y in metres per lattice unit.
     """
     x0 = wp.min(t.apex[0], wp.min(t.left[0], t.right[0]))
     y0 = wp.min(t.apex[1], wp.min(t.left[1], t.right[1]))
@@ -169,9 +174,10 @@ def with_bound(
 ) -> Triangle:
     """Return t with an upper bound of a quantity (FIXED .. METRES) for its leaves, or for the leaf that contains it.
 
-    The bound is UNSEEN if t is out of view in all views. tolerance2: the square of the error that all leaves of the
-    tree keep to unless rounding prevents that; it is used only if t.leaf_depth is ANY, which a leaf of the tree
-    replaces by its depth.
+    The bound is UNSEEN if t is out of view in all views. tolerance2: squared tolerance, in units of the quantity, which
+    no leaf of the tree exceeds unless rounding prevents that. It is used only if t.leaf_depth is ANY; if t is a leaf of
+    the tree, its depth replaces ANY. Also set: `fixed`, metres of rounding that no refinement removes, `total`, those
+    plus the error of leaves, and `is_small`, which ends the division of a leaf.
     """
     x = halfway(t.left[0], t.right[0])
     y = halfway(t.left[1], t.right[1])
@@ -186,7 +192,8 @@ def with_bound(
         if quantity == ERROR or quantity == METRES:
             t.total += error_below(domain, t, x, y, deepest)
     if quantity == ERROR and domain.bicubic == 0 and domain.detailed == 0:
-        if t.depth == deepest + 2 * domain.levels - domain.border_depth:  # a leaf, or a triangle of its meshlet
+        # A leaf, or a triangle of the meshlet that is drawn for it, so many bisections deeper.
+        if t.depth == deepest + 2 * domain.levels - domain.border_depth:
             t.is_drawn = wp.bool(True)
             t.drawn = t.apex
             t.plane = plane_of(domain, t)
@@ -202,8 +209,8 @@ def with_bound(
         pixel2, is_small = finest_seen(domain, criterion, quantity == EDGE or quantity == AREA, d, t)
         t.is_small = t.is_small or is_small
     if t.leaf_depth == ANY:
-        # No leaf below has a larger error than the criterion allows. In footprints that is largest where they are
-        # finest (`allowed_m`), and nowhere more than the larger one of that and the tolerance.
+        # No leaf below exceeds the criterion: `allowed_m` is the largest error that it permits where footprints are
+        # finest. The ratio of error and footprint is largest there, or is the tolerance.
         allowed_m = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
         quantity2 = smaller(larger(allowed_m * allowed_m, tolerance2 * pixel2), quantity2)
     t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), quantity2 / pixel2, UNSEEN)
@@ -269,9 +276,11 @@ def find_largest(
 ):
     """Find the largest value of a quantity (FIXED .. METRES) among leaves at depth `leaf_depth`, or all leaves (ANY).
 
-    found [3]: its square, rounded up, and the `fixed` and `total` metres of its Triangle; `min2`, -1 and -1 if no
-    square is above `min2`. With ANY, `min2` is the squared tolerance. squares: the tree's node for the first square.
-    stack [STACK]: scratch.
+    found [3]: its square, rounded up, and its triangle's metres of error without (`fixed`: only roundings) and with
+    refinable errors (`total`); `min2`, -1 and -1 if no square is above `min2`. With ANY, `min2` is the squared
+    tolerance. squares: the tree's node for the first square. stack [STACK]: scratch. One thread searches all squares.
+    A leaf is divided until pixel footprints hardly differ in it (`is_small`). The found square is raised by a factor
+    NEARLY.., so that triangles that may exceed it by less than that are not searched.
     """
     bound2 = min2  # largest square found, rounded up
     fixed = wp.float64(-1.0)

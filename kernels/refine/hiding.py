@@ -30,6 +30,9 @@ of the highest ray below the entries, over a ramp. The last ring counts more, th
 the ring before counts fully. A bin beside the box counts less with its distance, up to one bin. The result is
 continuous in the eye's position, as are the entries (`steady_min` in kernels/refine/horizon_map.py). A box that is
 not hidden is not covered, and a box inside another is covered no less, in rounded arithmetic, too.
+
+`rings` locates a view in the map: number of its nearest ring (`first`), their `count`, and the entry `at` of its row of
+floors, after which the rings' rows of ROW entries follow.
 """
 
 import warp as wp
@@ -52,13 +55,16 @@ class Rings:
 
 @wp.func
 def ring_of(distance: wp.float64) -> wp.int32:
-    """Return the number of the largest horizon ring whose radius is at most `distance` (metres)."""
+    """Return the number of the largest horizon ring whose radius is at most `distance` (metres).
+
+    It is the upper bits of the float64: its exponent and five bits of its mantissa.
+    """
     return wp.int32(wp.cast(distance, wp.int64) >> wp.int64(RING_BITS))
 
 
 @wp.func
 def radius_of(ring: wp.int32) -> wp.float64:
-    """Return the radius max(|x|, |y|) of a horizon ring, metres from the eye."""
+    """Return the radius max(|x|, |y|) of a horizon ring, metres from the eye; `ring` is the float64's upper bits."""
     return wp.cast(wp.int64(ring) << wp.int64(RING_BITS), wp.float64)
 
 
@@ -209,13 +215,14 @@ def covered(
             reach = reach_on(side, low, high, near)
             if reach[0] <= reach[1]:  # the box meets the side
                 middle = wp.float64(side * BINS) + half
+                # Positions among the bins around the eye; on turned sides bins are in the order of falling ratios.
                 first = wp.where(is_turned(side), middle - reach[1] * half, middle + reach[0] * half)
                 last = wp.where(is_turned(side), middle - reach[0] * half, middle + reach[1] * half)
                 bins_left -= last - first
                 fraction = wp.where(bins_left > zero, fraction, zero)
                 k = wp.int32(first) - 1
                 while fraction > zero and k <= wp.int32(last) + 1:
-                    i = k & (ROW - 1)
+                    i = k & (ROW - 1)  # bins go round: after the last one comes the first
                     hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row + i]), ramp) - still_ahead, zero)
                     if ring > 0:  # the ring before counts fully
                         hidden_here = wp.max(ramp_fraction(top, wp.float64(slopes[row - ROW + i]), ramp), hidden_here)

@@ -1,11 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Computation of the polar horizon map from minimum heights; kernels/refine/hiding.py describes and proves the map.
 
+The eye is surrounded by square rings of growing radius, whose four sides are divided into bins of directions. For each
+ring and bin the map has a slope (height above the eye over the radius): rays below it are behind nearer ground.
+
 An entry's arc is straight: x or y is the ring's radius. The mesh over it is no lower than the minimum height around it
 minus the mesh's permitted error, and every ray of the bin crosses the arc. Raster and mesh have no gap, so a ray that
 is above the mesh on a nearer arc and below it on this one has met it in between. Beyond the raster nothing hides.
 
 With an occlusion fade (`LocalView.ramp`) minimum heights are continuous in the eye's position: see `steady_min`.
+
+`blocks`: stored bounds of heights over blocks of 2^level x 2^level cells.
 """
 
 import warp as wp
@@ -51,7 +56,7 @@ def min_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j1: w
 def fill_blocks(offset: int, domain: Domain, wide: wp.int32, min_height: wp.array(dtype=wp.float32)):
     """Write to `min_height` the lowest and the negated highest height of each smallest block of row `offset + tid`.
 
-    They are rounded outwards. wide: blocks in a row.
+    They are rounded outwards. min_height: two values for each block, row by row. wide: blocks in a row.
     """
     j = (offset + wp.tid()) << FINEST
     last = (wp.int32(1) << FINEST) - 1
@@ -91,8 +96,8 @@ def min_over(
 ):
     """Return the minimum of sign * height, metres after scaling, in the lattice rectangle (x0, y0) .. (x1, y1).
 
-    Displacement is included. Of large rectangles the minimum is that of the blocks that they meet, so it may be lower.
-    sign: 1 for the lowest height, -1 for the negated highest.
+    Displacement is included. Of rectangles over more than FEW_CELLS cells a side the minimum is that of the blocks that
+    they meet, at most MAX_BLOCKS a side, so it may be lower. sign: 1 for the lowest height, -1 for the negated highest.
     """
     bits = domain.unit_bits - domain.levels
     i0 = wp.max(x0, 0) >> bits
@@ -117,7 +122,8 @@ def min_over(
 def to_scaled(domain: Domain, min_height: wp.float64, sign: wp.float64) -> wp.float64:
     """Convert `min_height`, a minimum of the raster's heights, to one of the displaced surface, metres after scaling.
 
-    sign: 1 for a minimum of heights, -1 for one of negated heights.
+    sign: 1 for a minimum of heights, -1 for one of negated heights. `min_height` is already negated where the vertical
+    scale is negative, so it is multiplied by the scale's magnitude, `error_scale`.
     """
     if domain.detailed == 1:
         min_height -= domain.max_change
@@ -154,7 +160,8 @@ def min_of_windows(
     """Interpolate the minima of up * height, metres before scaling, between two windows of blocks along each axis.
 
     All four windows contain the rectangle (corner, size; in blocks). The weights are the position of the corner in its
-    block, so a window has weight 0 when its set of blocks changes: the result is continuous.
+    block, so a window has weight 0 when its set of blocks changes: the result is continuous. The second window of an
+    axis begins with the block of the corner, the first one a block before; both have the same number of blocks.
     """
     inf = wp.float64(wp.inf)
     i = wp.int32(wp.floor(corner[0]))
@@ -190,10 +197,11 @@ def steady_min(
     """Bound the ground from below, metres after scaling, over a lattice rectangle and `margin_units` units around it.
 
     corner, size: the rectangle's south-west corner and size, lattice units. The bound is continuous in the rectangle's
-    position: the exact minimum over few bilinear cells, else `min_of_windows`.
+    position: the exact minimum over up to FEW_CELLS bilinear cells a side, else `min_of_windows` of blocks so large
+    that fewer than MAX_BLOCKS are a side's length.
     """
     cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
-    margin = wp.float64(margin_units + 2)  # no less than `min_over` gets in `fill_horizon`
+    margin = wp.float64(margin_units + 2)  # the rectangle that `fill_horizon` passes to `min_over` is no larger
     corner = (corner - wp.vec2d(margin, margin)) / cell
     size = (size + wp.float64(2.0) * wp.vec2d(margin, margin)) / cell
     longest = wp.max(size[0], size[1])
@@ -231,10 +239,12 @@ def max_mesh_offset(
     """
     error2_per_range2 = relaxation * relaxation * criterion.error_px2 * view.pixel2 * view.max_gain2
     metres2 = relaxation * relaxation * criterion.metres2
-    # A footprint must grow more slowly than the distance: otherwise higher ground might have a lower mesh.
+    # The permitted error must grow more slowly than the height: otherwise higher ground might have a lower mesh. At
+    # sqrt(0.5) of the distance or less it does. Nothing nearer than sqrt(view.near2) metres is visible.
     if error2_per_range2 * reach2 < wp.float64(0.5):
         metres2 = smaller(metres2, error2_per_range2 * larger(reach2 * (across2 + rise * rise), view.near2))
-    # Errors up to `enough` are never refined; float32 positions add the rest.
+    # Errors up to `enough` are never refined. Rounding to float32 adds `rounding` by heights and up to `max_lean` by
+    # coordinates in the plan, which moves facets sideways.
     return larger(wp.sqrt(metres2), domain.enough) + domain.rounding + domain.max_lean
 
 
@@ -254,7 +264,8 @@ def ground_near(
 
     It is metres after vertical scaling, with displacement. x, y: the eye, lattice units. reach: half of the square's
     side, lattice units; the result is infinite if the square crosses the raster's border or is outside. margin_units:
-    lattice units to add on each side.
+    lattice units to add on each side, where the raster has them. Small squares of a bilinear surface are searched
+    sample by sample, others by stored blocks of cells.
     """
     bits = domain.unit_bits - domain.levels
     east = wp.float64((domain.samples.columns - 1) << bits)
@@ -308,9 +319,11 @@ def fill_horizon(
 ):
     """Write bin `offset + tid` of view `number`'s map of horizons: its floor, and its slope on every ring.
 
-    start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the depth limit,
-    lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxation: factor on the
-    criterion.
+    The slope of a ring hides all rays below it down to the floor; a ray below the floor may pass below the mesh before
+    the mesh begins. start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the
+    depth limit, lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxation:
+    factor on the criterion. The map is in `criterion.slopes` from `rings.at` on: a row of floors, then one for each
+    ring, of ROW bins each.
     """
     one = wp.float64(1.0)
     k = offset + wp.tid()
@@ -334,6 +347,7 @@ def fill_horizon(
     if high < wp.float64(wp.inf):  # the eye is over the raster
         begun = 1
         rise = high - view.eye[2]
+        # The corners of the square around the eye are the square root of 2 times `start` away.
         mesh_offset = max_mesh_offset(
             domain, criterion, view, reach2, relaxation, wp.float64(2.0) * start * start, rise
         )

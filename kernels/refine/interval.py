@@ -2,7 +2,15 @@
 """LOD intervals: which descendants of a split diamond will certainly be split, and which will certainly be leaves.
 
 The finest and the coarsest pixel footprint on the diamond's box bound the footprints of all its descendants, since
-boxes and errors are nested. Margins are far above rounding: measuring a descendant never contradicts an interval.
+boxes and errors are nested. Margins are far above rounding: measuring a descendant never contradicts an interval. A
+pixel footprint is the length, metres, that a pixel spans; errors and edges in pixels are metres over footprints.
+
+`criterion`: limits of errors and edges, and the views. `limits`: the same with margins; `per_...` are squared
+footprints per squared metre at which a diamond is split. `m`: a measured diamond. Names that end in 2 are squared:
+`pixel2` and `edge2`, the finest footprints of heights and edges on its box; `metres2`, the error that the criterion
+compares; `long2`, the longest edge of a level triangle; `legs2`, twice its area; `climb2`, the largest height
+difference along an edge. In an interval, diamonds before `split_depth` or with errors above `split_above` are split;
+those from `leaf_depth` on with errors up to `leaf_up_to` are leaves.
 """
 
 import warp as wp
@@ -69,9 +77,10 @@ class LodInterval:
 
 @wp.func
 def limits_of(criterion: CriterionArrays, slack: wp.float64) -> Limits:
-    """Return the criterion, times its `limit`, as the limits that intervals compare.
+    """Return the criterion as the limits that intervals compare.
 
-    slack: fraction by which footprints may change without changing a verdict.
+    slack: fraction by which footprints may change without changing a verdict. criterion.limit: squared factor by which
+    the criterion is relaxed. BELOW, ABOVE: 1 less or plus a margin for rounding.
     """
     one = wp.float64(1.0)
     limits = Limits()
@@ -129,7 +138,7 @@ def too_coarse(criterion: CriterionArrays, limit: wp.float64, m: MeasuredDiamond
 def rise_to_turn(limits: Limits, m: MeasuredDiamond) -> wp.float64:
     """Return by how many metres pixel footprints must grow until the decision on the diamond (split or leaf) changes.
 
-    The result is less than 0 if they must shrink. Limits in metres are ignored.
+    The result is less than 0 if they must shrink. Limits in metres are ignored: footprints do not affect them.
     """
     edges2 = larger((m.long2 + m.climb2) * limits.per_edge2, (m.legs2 + m.climb2) * limits.per_area2)
     of_error = wp.sqrt(m.metres2 * limits.per_error2) - wp.sqrt(m.pixel2)
@@ -178,7 +187,8 @@ def first_within(
 
     Bisection turns the legs into the longest edge; the new legs are half the old longest edge. Twice the area of a
     triangle is the square of its legs, so that its limit is one of squared legs. climb2: squared height difference
-    along an edge, metres. pixel2: squared pixel footprint of edges, metres.
+    along an edge, metres. pixel2: squared pixel footprint of edges, metres. limits.edge2, area2: the largest squared
+    edge and squared legs, in squared footprints.
     """
     max_long2 = limits.edge2 * pixel2 - climb2
     max_legs2 = limits.area2 * pixel2 - climb2
@@ -206,10 +216,10 @@ def interval_below(
 ) -> LodInterval:
     """Return the interval below a split diamond, which decides many of its descendants without measuring them.
 
-    It holds for all limits between `limits` and `coarse`. A walk passes the same limits twice, a count those of its
-    finest and its coarsest step. `finer` and `coarser` are factors to the extreme squared footprints that may occur. m:
-    the measured diamond, at `depth`. max_depth: at this depth all triangles are leaves. in_frame: 1 if all frustums are
-    known to contain the diamond's box.
+    It holds for all limits from `limits` (the finest) to `coarse`. The walk passes the same limits twice. A count of
+    leaves for several tolerances at once (kernels/budget) passes its finest and its coarsest. m: the measured diamond,
+    at `depth`. max_depth: at this depth all triangles are leaves. in_frame: 1 if all frustums are known to contain the
+    diamond's box. `max_error_for` converts permitted metres to a stored error, for given metres of rounding (`rest`).
     """
     interval = LodInterval()
     fine2 = m.pixel2 * limits.finer

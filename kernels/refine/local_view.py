@@ -2,7 +2,8 @@
 """A view in terrain space, and where a box is relative to its frustum.
 
 `low`, `high`: corners of a box, metres in terrain space. All functions are monotone, also in rounded arithmetic: a box
-inside another one is at least as far inside each plane.
+inside another one is at least as far inside each plane. The fringe is a zone beyond the planes over which footprints
+become coarser gradually.
 """
 
 import warp as wp
@@ -121,7 +122,11 @@ def fringe_at(view: LocalView, depth: wp.float64) -> wp.float64:
 
 @wp.func
 def classify_box_steadily(view: LocalView, low: wp.vec3d, high: wp.vec3d) -> wp.int32:
-    """Return how a box stands to the frustum and its fringe: CLEAR, OUTSIDE of both, or CROSSED, also in the fringe."""
+    """Return how a box stands to the frustum and its fringe: CLEAR, OUTSIDE of both, or CROSSED.
+
+    CLEAR: the frustum contains it, so that the fringe does not matter. CROSSED: any other, also one wholly in the
+    fringe.
+    """
     beyond = wp.float64(0.0)
     if view.fade > beyond:
         beyond = fringe_at(view, max_over_box(view.depth, low, high))

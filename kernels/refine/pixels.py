@@ -5,8 +5,12 @@ Footprints are coarser outside the frustum and on hidden ground. Boxes are neste
 in rounded arithmetic: no footprint on a child's box is finer than on its parent's.
 
 `low`, `high`: corners of a box, metres in terrain space. Range: distance from the eye in metres of camera space; in a
-perspective the depth, or the distance times the smallest cosine in the frame if that is larger. Slant: share of a
+perspective the depth, or the distance times the smallest cosine in the frame if that is larger. Slant: fraction of a
 height that the view sees. Gain: factor by which footprints of heights are coarser than those of edges.
+
+Names that end in 2 are squared. `view.pixel2`: footprint at range 1, or everywhere in an orthographic view.
+`view.max_gain2`: the largest gain. `criterion` has limits of the error in pixels and in metres, and of the longest edge
+and twice the area in pixels (`error_px2`, `metres2`, `edge_px2`, `area_px2`); infinity switches one off.
 """
 
 import warp as wp
@@ -56,7 +60,8 @@ def sizes(criterion: CriterionArrays, unit_bits: wp.int32, depth: wp.int32):
     """Return the squared longest edge and twice the area of a horizontal triangle at `depth`, in camera space (metres).
 
     Twice the area is the squared legs. At an odd depth the legs are parallel to the axes, at an even one the longest
-    edge is. unit_bits: a root square has 2^unit_bits lattice units a side.
+    edge is. unit_bits: a root square has 2^unit_bits lattice units a side. criterion.diagonal2, axis2: squared length
+    of a lattice unit's diagonal and side in camera space.
     """
     side = wp.float64(wp.int32(1) << (unit_bits - ((depth - 1) >> 1)))
     side2 = side * side
@@ -102,11 +107,13 @@ def sizes_of(ends: wp.vec2d) -> wp.vec2d:
 def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3d, high: wp.vec3d) -> wp.vec2d:
     """Return the smallest and the largest (slant * depth / largest slant in the frame)^2 in a box.
 
-    slant_x, slant_y: rows of LocalView. eye, low, high: metres.
+    slant_x, slant_y: coefficients, from LocalView, of the two components of that product, which are linear in the
+    offset from the eye. eye, low, high: metres.
     """
     low_corner = wp.vec2d(low[0] - eye[0], low[1] - eye[1])
     high_corner = wp.vec2d(high[0] - eye[0], high[1] - eye[1])
-    # The extreme magnitudes of both components, across and along the view.
+    # Smallest and largest magnitude of both components, across and along the view: `ends_of` has the extreme values in
+    # the rectangle, `sizes_of` turns them to magnitudes.
     across = sizes_of(ends_of(slant_x, low_corner, high_corner))
     along = sizes_of(ends_of(slant_y, low_corner, high_corner))
     return wp.vec2d(across[0] * across[0] + along[0] * along[0], across[1] * across[1] + along[1] * along[1])
@@ -116,8 +123,9 @@ def slants2_of(slant_x: wp.vec2d, slant_y: wp.vec2d, eye: wp.vec3d, low: wp.vec3
 def gain2_at(view: LocalView, range2: wp.float64, slants2: wp.float64) -> wp.float64:
     """Return the squared factor by which footprints of heights are coarser than those of edges, at least 1.
 
-    range2: squared range. slants2: squared product of slant and depth. A height e at depth z and slant s moves a point
-    by f e s / z pixels. s is clamped to the shading floor and to the largest slant in the frame.
+    range2: squared range. slants2: squared product of slant and depth, over the frame's largest slant. A height e at
+    depth z and slant s moves a point by f e s / z pixels, with the focal length f in pixels. s is clamped between the
+    smallest slant that counts (the shading floor) and the largest in the frame.
     """
     return larger(smaller(range2 / slants2, view.max_gain2), wp.float64(1.0))
 
@@ -184,7 +192,7 @@ def cover_of(
 ) -> wp.float64:
     """Return how far nearer ground hides a box, 0 .. 1: gradually over `ramp`, a slope, or at once if that is 0.
 
-    low, high: the box, metres relative to the eye. slopes: the map of horizons.
+    low, high: the box, metres relative to the eye. slopes: the map of horizons, in which `rings` locates the view's.
     """
     fraction = wp.float64(0.0)
     if ramp > fraction:
@@ -198,8 +206,8 @@ def cover_of(
 def hidden_factor2(hidden2: wp.float64, occlusion_fade: wp.float64, fraction: wp.float64) -> wp.float64:
     """Return the squared factor by which footprints are coarser where nearer ground hides a `fraction` (`cover_of`).
 
-    fraction: above 0, up to 1. hidden2: the squared factor of wholly hidden ground. occlusion_fade: how fast the factor
-    grows, as in LocalView.
+    The factor is (1 + occlusion_fade * fraction)^4. fraction: above 0, up to 1. hidden2: the squared factor of wholly
+    hidden ground, which is not exceeded.
     """
     coarser2 = hidden2
     if fraction < wp.float64(1.0):
@@ -231,7 +239,7 @@ def faded2(view: LocalView, inner: wp.float64, depth: wp.float64) -> wp.float64:
 
 @wp.func
 def finest_in(view: LocalView, slopes: wp.array(dtype=wp.float32), d: Diamond, in_frame: wp.int32):
-    """Compute the squared finest footprints of heights and of edges, metres, of a view on a box.
+    """Compute the squared finest footprints of heights and of edges, metres, of a view on the box of diamond d.
 
     They are coarser off screen and on hidden ground. slopes: the map of horizons. in_frame: 1 if the frustum is known
     to contain the box.
@@ -271,7 +279,7 @@ def coarsest_in(view: LocalView, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """Compute the squared finest footprints of heights and of edges, metres, of all views on a diamond.
+    """Compute the squared finest footprints of heights and of edges, metres, of all views on the box of diamond d.
 
     They are infinite beyond the raster's border and without views. The first view is read from the struct, not from the
     array: most terrains have only one. in_frame: 1 if all frustums are known to contain the diamond's box.
@@ -289,7 +297,7 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside a diamond's.
+    """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside that of d.
 
     They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
     in_frame: 1 if that is known, 0 to find out. Footprints are infinite without views, and for a diamond that extends

@@ -12,7 +12,8 @@ the view alone (Lindstrom and Pascucci 2002, section 4).
 Children are visited so that consecutive leaves share an edge: the Sierpinski curve (curve.py). It may be cut anywhere
 into slices for parallel walks; each walk descends from the roots to its first cell.
 
-`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far.
+`w`: the slice's Walk. `q`: its current square; `q.base` is its first deepest cell. `c`: its cursor; `c.top` becomes -1
+at the end of the square or the slice. `n`: its counts so far.
 """
 
 import warp as wp
@@ -31,7 +32,8 @@ def walk(domain: Domain, criterion: CriterionArrays, w: Walk):
     """Refine the leaves of a slice of the curve by measuring every diamond, and write them with their counts.
 
     This is the plain form of the kernel in walk.py, which writes the same bytes but skips measurements. A triangle is
-    split while its diamond is too coarse; one at `w.max_depth` stays a leaf and sets STOPPED.
+    split while its diamond is too coarse; one at `w.max_depth` stays a leaf and sets entry STOPPED of the slice's
+    counts. Above `w.leaf_limit` leaves the walk ends early.
     """
     n = Written()
     end = w.first_cell

@@ -1,8 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reuse of subtrees from the last frame (coherence.py decides which are valid), and the lists for the next frame.
 
+A subtree is all leaves below a triangle, contiguous along the curve. While it is being cached it is *open*; at most one
+is. `cell`: number of a deepest triangle along the curve over all squares, by which subtrees are located and ordered.
+
 `w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far. `r`: the last frame's
-subtrees and the slice's lists. `slot`: number of the slice.
+subtrees and the slice's lists. `slot`: number of the slice. `criterion`: limits of errors and edges, and the views.
+
+`r.cursor[slot]` has the next subtree of the last frame along the curve (`next`: its entry; `cell`, `depth`, `leaves`),
+the `count` of subtrees cached so far, and the cell at which the open one ends (`end`; NOWHERE: none is open). The list
+of a slice has `r.room` entries from slot * r.room on. Margins `fall` and `rise`: metres by which pixel footprints may
+shrink and grow before a decision changes. `first_leaf`, `first_vertex`: entries in the frame's words and points.
 """
 
 import warp as wp
@@ -66,10 +74,11 @@ def end_reuse(r: Reuse, slot: wp.int32):
 
 @wp.func
 def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, point: wp.int64):
-    """List a reused subtree's points as a run for the displacement, and its leaves as one for the tree (`r.same`).
+    """List a reused subtree's points in `r.point_runs`, and its leaves in `r.same`; later passes need not redo them.
 
-    leaf, point: entries in `Walk.code` and `Walk.point` where they were copied to. Subtrees beyond the list's room are
-    written and displaced again.
+    The displacement of points copies the runs' positions, the update of the tree leaves out the same leaves. leaf,
+    point: entries in `Walk.code` and `Walk.point` where they were copied to. Subtrees beyond the `r.room` entries of a
+    list are processed as new ones.
     """
     count = r.cursor[slot].point_runs
     if count < r.room:
@@ -78,6 +87,7 @@ def note_reused(r: Reuse, slot: wp.int32, subtree: Subtree, leaf: wp.int64, poin
         r.point_runs[entry].before = subtree.first_vertex
         r.point_runs[entry].count = wp.int64(subtree.vertices)
         r.point_runs[entry].coarse = subtree.coarse
+        # The subtree's box contains those of all deeper diamonds in it.
         r.point_runs[entry].clear_below = wp.where(subtree.frustum_class == CLEAR, subtree.depth, NOT_CLEAR)
         r.same[entry].first = leaf
         r.same[entry].count = subtree.leaves
@@ -139,6 +149,7 @@ def reuse_subtree(criterion: CriterionArrays, w: Walk, r: Reuse, q: Square, c: C
                     subtree.first_vertex = w.leaf_base + n.vertices
                     r.cached[wp.int64(slot) * r.room + r.cursor[slot].count] = subtree
                     r.cursor[slot].count = r.cursor[slot].count + wp.int64(1)
+                # 1 if a leaf is too coarse at the depth limit
                 w.counts[4 * slot + STOPPED] = w.counts[4 * slot + STOPPED] | wp.int64(subtree.stopped)
                 r.cursor[slot].reused = r.cursor[slot].reused + wp.int64(subtree.leaves)
                 r.cursor[slot].sizes = wp.vec3i(subtree.leaves, subtree.vertices, subtree.edges)
@@ -187,9 +198,11 @@ def open_subtree(
     """Begin to cache the leaves below a split triangle in the slice's list, if it has only few bisections below it.
 
     Nothing happens in an open subtree, without room in the list, or if a leaf may have special bits (`can_copy_block`),
-    as on a square's border. m: its diamond. interval: the one below it. Margins begin at the slack of the interval's
-    verdicts; `narrow_margins` narrows them, and `close_subtree` completes the entry. Until then the slice's entry
-    STOPPED of `w.counts` holds what happens in the subtree alone.
+    as on a square's border. Few bisections: the error is at most ERRORS_CACHED times that of leaves, and edges need at
+    most MAX_BISECTIONS, or the depth limit is near (LAST_LEVELS). m: its diamond. interval: the one below it. The
+    margins begin at the change of footprints that intervals allow for (`r.slack`); `narrow_margins` narrows them, and
+    `close_subtree` completes the entry. Until then entry STOPPED of the slice's counts says whether a leaf in this
+    subtree alone is too coarse at the depth limit.
     """
     slot = w.slot
     opens = r.cursor[slot].end == NOWHERE and r.cursor[slot].count < r.room
@@ -224,7 +237,8 @@ def open_subtree(
 def narrow_margins(criterion: CriterionArrays, limits: Limits, w: Walk, r: Reuse, m: MeasuredDiamond):
     """Limit the open subtree's margins, if one is open, to footprints at which diamond m gets the same verdict.
 
-    A leaf stays one until footprints fall, a split diamond until they rise; one that metres split has no limit.
+    A leaf stays one until footprints fall, a split diamond until they rise. One that exceeds the limit in metres is
+    split at any footprint, and narrows no margin.
     """
     if r.cursor[w.slot].end != NOWHERE:
         inf = wp.float64(wp.inf)
@@ -240,6 +254,8 @@ def close_subtree(w: Walk, r: Reuse, cell: wp.uint64, n: Written):
     """Complete the entry of the open subtree, its leaves, vertices and edges, if it ends at `cell` or before.
 
     cell: the walk's position, counted over all squares. The entry is dropped if its box crosses the frustum's border.
+    STOPPED of the slice's counts, 1 if a leaf is too coarse at the depth limit, was reset when the subtree was opened;
+    its value from before is restored.
     """
     slot = w.slot
     if cell >= r.cursor[slot].end:

@@ -3,7 +3,8 @@
 
 A leaf whose diamond is too coarse is split; one whose parent's diamond is not is merged, with the other halves of that
 diamond. The criterion is nested, so every diamond that a split forces to be split is too coarse, too: no leaf takes
-part in a split and in a merge, and both may be written in one pass.
+part in a split and in a merge, and both may be written in one pass. `t`: the tree's bit field, whose leaves are
+numbered in curve order. `grid`: the root squares.
 """
 
 import warp as wp

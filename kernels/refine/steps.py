@@ -1,7 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The steps of a walk along the curve: into a square, down to a triangle's children, on to the next triangle.
 
-`w`: the slice's Walk. `q`: its current square. `c`: its cursor.
+Positions on the curve are counted in deepest cells, 2^cell_bits of them in a root square. A slice is the part of the
+curve from `w.first_cell` to before `w.end_cell`.
+
+`w`: the slice's Walk. `q`: its current square; `q.base` is its first deepest cell, and `q.start`, counted from there,
+the first one in the slice. `c`: its cursor: a triangle with its first cell in the square, and the `top` of the stack of
+triangles that follow (-1: the square or the slice has ended).
 """
 
 import warp as wp
@@ -33,7 +38,7 @@ def square_at(domain: Domain, w: Walk, number: wp.int32) -> Square:
 
 @wp.func
 def enter(w: Walk, q: Square) -> Cursor:
-    """Return a cursor at the first of a square's two halves, with the other half on the stack; both are in doubt.
+    """Return a cursor at the first of a square's two halves, with the other half on the stack; neither is decided.
 
     A slice that begins later in the square still starts here: `advance` and `emit` leave out earlier triangles. An
     entry of `stack` has a triangle's apex and right corner; the left corner is the right one of the triangle before. An
@@ -46,6 +51,7 @@ def enter(w: Walk, q: Square) -> Cursor:
     c.left = wp.vec2i(x0, y0 + q.side)
     c.apex = q.corner
     c.right = wp.vec2i(x0 + q.side, y0)
+    # The curve enters the first half by a leg and leaves it by the hypotenuse, by which it enters the second half.
     c.state = LEG_HYP
     c.depth = 1
     c.interval_index = entry
@@ -72,9 +78,9 @@ def middle_of(c: Cursor) -> wp.vec2i:
 def advance(w: Walk, q: Square, c: Cursor, verdict: wp.int32) -> Cursor:
     """Move the cursor along the curve: to a child of a split triangle, else to the next triangle on the stack.
 
-    The first child comes first and the second is pushed, unless the slice begins after the first. `top` becomes -1 at
-    the end of the square or the slice. Fields are assigned one by one: Warp copies a struct that is assigned whole in a
-    branch, even if the branch is not taken. verdict: SPLIT to split the triangle.
+    The first child comes first and the second is pushed; if the slice begins after the first, the cursor moves to the
+    second. `top` becomes -1 at the end of the square or the slice. Fields are assigned one by one: Warp copies a struct
+    that is assigned whole in a branch, even if the branch is not taken. verdict: SPLIT to split the triangle.
     """
     if verdict == SPLIT:
         middle = middle_of(c)

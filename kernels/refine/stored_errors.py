@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The error of a diamond, from the arrays of the height field.
 
-A diamond is known by its split vertex (x, y in lattice units) and its depth inside a root square.
+A diamond is known by its split vertex (x, y in lattice units) and its depth inside a root square. A saturated error is
+no less than the errors of all descendants. The twist of a cell is 4 times the distance of its bilinear patch from a
+plane. Errors are stored in groups of four depths, finest first, and those of the raster's cells in a last group. A root
+square has 2^unit_bits lattice units and 2^levels raster cells a side; finer tiles divide cells into 2^finer.bits. The
+factors UP and UP_MASKS are above the rounding of sums.
 """
 
 import warp as wp
@@ -43,7 +47,8 @@ def cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 def twist_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Return the error, metres before scaling, of the diamond in raster cell (i, j) from the cell's twist alone.
 
-    If leaves are drawn as meshlets, it is the error of their triangles.
+    If leaves are drawn as meshlets of 4^m triangles, it is the error of those: each of m halvings of an edge quarters
+    it. Leaves are then at most 2 * (levels - m) bisections deep, which is `domain.border_depth`.
     """
     twist = wp.float64(0.0)
     if i < domain.samples.columns - 1 and j < domain.samples.rows - 1:  # a meshlet's errors reach beyond the raster
@@ -56,9 +61,10 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
     """Return the saturated error of raster cell (i, j) from twists if it is less than `cell_error`, a rounded-up code.
 
     The saturated error is the maximum of T(b) / 4^d over all cells b, with the twist error T and the distance d in
-    steps between neighbours. Twists are evaluated up to RINGS steps away; the codes of the next ring bound the rest. So
-    a neighbour's error is at most four times this. If no code of a ring is large enough to count, none of a later ring
-    is. The result is at least SURE times the cell's code, so that intervals can decide without reading twists.
+    steps between neighbours. So a neighbour's error is at most four times this. Twists are evaluated up to RINGS steps
+    away; the codes of the next ring bound those of all farther cells. The search ends at the first ring on which no
+    code over 4^d exceeds the maximum so far: codes are saturated, too, so none of a later ring does. The result is at
+    least SURE times the cell's code, so that intervals can decide without reading twists.
     """
     stored = wp.float32(0.0)
     largest = wp.float32(0.0)
@@ -96,7 +102,8 @@ def exact_cell_error(domain: Domain, i: wp.int32, j: wp.int32) -> wp.float32:
 def group_of(levels: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the group of depths in which the error of a diamond is stored. depth: above the raster's cells.
 
-    levels: a root square has 2^levels cells a side.
+    Group g has the four depths whose squares have sides of 2 * 4^g and 4 * 4^g cells. levels: a root square has
+    2^levels cells a side.
     """
     return (levels - 1 - ((depth - 1) >> 1)) >> 1
 
@@ -108,7 +115,7 @@ def error_index(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp
     The order of entries: see kernels/field/layout.py.
     """
     group = group_of(domain.levels, depth)
-    shift = domain.unit_bits - domain.levels + 2 * group
+    shift = domain.unit_bits - domain.levels + 2 * group  # vertices of a group are 4^group cells apart
     return item_at(domain.base, group) + tile_index(x >> shift, y >> shift, item_at(domain.pages, group))
 
 
@@ -116,10 +123,10 @@ def error_index(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp
 def reach_of(unit_bits: wp.int32, depth: wp.int32) -> wp.int32:
     """Return the half-width, lattice units, of a diamond's box around its split vertex.
 
-    Let s be half a side of the cell, or half the edge. The offsets from a diamond's vertex to those of its descendants,
-    which halve every other bisection, add up to 3 s from a cell's centre and to 2 s from an edge's middle. The middle
-    of a cell of one unit is rounded down, and 3 s up to 2. unit_bits: a root square has 2^unit_bits lattice units a
-    side.
+    At an odd depth the diamond is an upright square of side 2 s, split at its centre; at an even one its vertex is the
+    middle of an edge of length 2 s. The offsets to the vertices of descendants, which halve every other bisection, add
+    up to 3 s from a centre and to 2 s from an edge's middle. The centre of a square of one unit is rounded down, and
+    3 s = 1.5 up to 2. unit_bits: a root square has 2^unit_bits lattice units a side.
     """
     return (((2 + (depth & 1)) << (unit_bits - ((depth - 1) >> 1))) + 1) >> 1
 
@@ -141,7 +148,8 @@ def is_beyond(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.b
 def halvings_at(domain: Domain, depth: wp.int32) -> wp.int32:
     """Return how many times the error of a raster cell is halved at a depth inside it.
 
-    Half of a bilinear patch has a quarter of its twist; the curvatures of a bicubic one halve with each bisection.
+    A bilinear patch of half the side has a quarter of the twist: the error is halved twice in the first of each two
+    bisections. The curvatures of a bicubic patch, and so its errors, halve with each bisection.
     """
     below_cells = depth - 2 * domain.levels - 1
     return below_cells + wp.where(domain.bicubic == 0, below_cells & 1, 0)
@@ -201,7 +209,8 @@ def max_of_mask(domain: Domain, mask: wp.int32, x: wp.int32, y: wp.int32, depth:
     """
     bits = domain.unit_bits - domain.levels
     reach = reach_of(domain.unit_bits, depth)
-    # Blocks have 2^level cells a side. The last entry of `mask_first` is the number of entries of one mask.
+    # Blocks have 2^level cells a side. The box is 2 sides of the diamond's square wide at an even depth and 3 at an odd
+    # one, here rounded up to 4. The last entry of `mask_first` is the number of entries of one mask.
     level = wp.clamp(domain.levels - ((depth - 1) >> 1) + 1 + (depth & 1), 0, domain.mask_top)
     last_column = (domain.samples.columns - 2) >> level
     last_row = (domain.samples.rows - 2) >> level
@@ -225,6 +234,8 @@ def change_limits(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
     """
     reach = reach_of(domain.unit_bits, depth)
     shift = domain.unit_bits - domain.levels - domain.finer[0].bits
+    # The box is 2 sides of the diamond's square wide at an even depth, 3 (rounded up to 4) at an odd one. Limits are
+    # stored for squares of several sizes; those at least as wide are read.
     log2_width = domain.unit_bits - ((depth - 1) >> 1) + 1 + (depth & 1)
     return limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, log2_width)
 
@@ -242,7 +253,8 @@ def change_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> 
     below_cells = depth - 2 * levels - 1  # bisections inside a finer cell; negative above the finer cells
     error = wp.float32(0.0)
     if depth <= 2 * (levels - STORED_BITS):
-        # Stored errors of cells reach as far as saturation does. The block is twice as large, so it is nested.
+        # A stored error counts those of cells up to SATURATED away, so the box is extended by them. The extended box is
+        # looked up as twice as wide as the box itself (`log2_width`), which keeps the result nested.
         reach = reach_of(domain.unit_bits, depth) + (wp.int32(SATURATED) << shift)
         log2_width = domain.unit_bits - ((depth - 1) >> 1) + 2 + (depth & 1)
         limits = limits_over(domain.finer[0], x - reach, y - reach, x + reach, y + reach, shift, log2_width)
@@ -287,8 +299,8 @@ def layers_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """Bound the displacement, metres before scaling, that leaves at `leaf_depth` in a diamond do not represent.
 
-    For finer tiles the bound is for leaves at the diamond's own depth, where it is not less. (x, y): where the diamond
-    is split.
+    (x, y), depth: where the diamond is split, and its depth. leaf_depth: `depth` or more. The part of finer tiles is
+    that of leaves at `depth`: deeper leaves miss no more.
     """
     missed = layers_missed(domain, x, y, depth, leaf_depth)
     if domain.has_finer == 1:
@@ -300,8 +312,8 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 def bicubic_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
     """Bound the error, metres before scaling, of leaves at `leaf_depth` in a diamond on a bicubic surface with tiles.
 
-    It includes the raster's error and the displacement, and is infinite where no bound is stored. (x, y): where the
-    diamond is split.
+    It includes the raster's error and the displacement, and is infinite where no bound is stored: tiles have bounds
+    only of diamonds of up to 2^STORED_BITS finer cells a side. (x, y): where the diamond is split.
     """
     bound = wp.float32(wp.inf)
     if domain.bicubic == 1 and domain.has_finer == 1:
@@ -317,7 +329,8 @@ def bicubic_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, le
 def stored_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -> wp.float32:
     """Return the diamond's error from stored codes plus that of the displacement, metres before scaling.
 
-    It is cheaper than `error_at`, and equal to it unless `may_be_less`; then it is up to twice as large.
+    It is cheaper than `error_at`, and equal to it unless `may_be_less`; then it is up to twice as large. On a bicubic
+    surface with finer tiles, the stored bound of everything together may be lower than the sum, and then replaces it.
     """
     error = raster_error_at(domain, x, y, depth)
     if domain.detailed == 1 and not is_beyond(domain, x, y, depth):

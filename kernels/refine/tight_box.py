@@ -27,10 +27,10 @@ NESTED = wp.constant(wp.float64(1e-13))  # of heights, for each bisection; round
 
 @wp.func
 def heights_between(domain: Domain, x0: wp.int32, y0: wp.int32, x1: wp.int32, y1: wp.int32):
-    """Return the lowest and highest metres, before scaling, of the bilinear surface over a lattice rectangle.
+    """Return the lowest and highest metres, before scaling, of the bilinear surface over (x0, y0) .. (x1, y1).
 
-    In each cell the extremes are at corners of the intersection of cell and rectangle. The result is (infinity,
-    -infinity) beyond the raster's border.
+    The rectangle is in lattice units. In each cell the extremes are at corners of the intersection of cell and
+    rectangle. The result is (infinity, -infinity) beyond the raster's border.
     """
     bits = domain.unit_bits - domain.levels
     per_unit = wp.float64(1.0) / wp.float64(wp.int32(1) << bits)  # exact: a power of two
@@ -71,7 +71,7 @@ def box_between(
         displacement = domain.max_detail
         if domain.has_finer == 1:  # plus the largest change by finer tiles
             shift = domain.unit_bits - domain.levels - domain.finer[0].bits
-            log2_width = domain.unit_bits - ((depth - 1) >> 1)
+            log2_width = domain.unit_bits - ((depth - 1) >> 1)  # a triangle is at most one side of its square wide
             displacement += wp.float64(limits_over(domain.finer[0], x0, y0, x1, y1, shift, log2_width)[0])
         min_height -= displacement
         max_height += displacement
@@ -92,7 +92,7 @@ def box_between(
 
 @wp.func
 def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
-    """Return a lower bound of the depth, metres, of all points in the box and in the frustum.
+    """Return a lower bound of the depth, metres, of all points in the box of d and in the frustum.
 
     This is linear programming with one frustum plane at a time. For any multiplier >= 0, the minimum over the box of
     depth - multiplier * (distance from the plane) is a lower bound (weak duality). The bound is largest if the
@@ -119,10 +119,11 @@ def min_depth_in(view: LocalView, d: Diamond) -> wp.float64:
 
 @wp.func
 def finest_seen_in(view: LocalView, d: Diamond, of_edges: wp.bool):
-    """Return the squared finest and coarsest pixel footprint, metres, on the part of the box in view.
+    """Return the squared finest and coarsest pixel footprint, metres, on the part of the box of d that is in view.
 
     of_edges: whether footprints of edges are measured, or those of heights. Out of view they are infinity and 0. The
-    coarsest is scaled for the comparison with NEARLY_EQUAL.
+    caller takes footprints as equal if the coarsest is below NEARLY_EQUAL times the finest. For a box that the
+    frustum's border crosses it must be below NEARLY_EQUAL_CROSSED times that, so there the coarsest is scaled up.
     """
     pixel2 = wp.float64(wp.inf)
     coarse2 = wp.float64(0.0)

@@ -8,8 +8,10 @@ for those below it. The curve often crosses from one triangle of a diamond to th
 is kept, so the second one need not be measured. Where an interval gives all leaves below one depth (`even_depth`, else
 0), they are written as an even block.
 
-`w`: the slice's Walk. `q`: its current square. `c`: its cursor. `n`: its counts so far. `r`: the last frame's
-subtrees and the slice's lists.
+A verdict is SPLIT, LEAF, EVEN_BLOCK, REUSED or DOUBT: the diamond must be measured. `w`: the slice's Walk. `q`: its
+current square; `q.base` is its first deepest cell. `c`: its cursor: a triangle, the index of its interval in
+`w.intervals`, and the `top` of the stack of triangles that follow (-1: the square or the slice has ended). `n`: its
+counts so far. `r`: the last frame's subtrees and the slice's lists.
 """
 
 import warp as wp
@@ -64,7 +66,8 @@ def judge(
     limits: the criterion with the margins of the intervals. The interval from above decides if it can; otherwise the
     diamond is measured, unless it was measured just before, for its other triangle. A measured diamond and its interval
     are stored in `w`, and a subtree may be opened or its margins narrowed in `r`. A diamond that is too coarse at
-    `w.max_depth` is a LEAF and sets STOPPED of the slice.
+    `w.max_depth` is a LEAF and sets entry STOPPED of the slice's counts. An exact error is at least SURE times the
+    stored one.
     """
     middle = middle_of(c)
     above = w.intervals[c.interval_index]
@@ -78,6 +81,7 @@ def judge(
     error_m = wp.float64(error) * domain.error_scale
     verdict = predict(above, c.depth, min_fraction * error_m, error_m)
     if c.depth < w.max_depth:
+        # A certain split is measured for a tighter interval (see NARROWED), or to begin a subtree that is cached.
         would_narrow = above.depths_decide == 1 and above.even_depth == 0 and (c.depth & 1) == 0
         would_narrow = would_narrow and above.leaf_depth - c.depth > NARROWED
         if (would_narrow and verdict == SPLIT) or may_begin_subtree(w, r, q, c):

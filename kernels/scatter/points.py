@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Points of a scatter: candidates on the ground, the choice of those in view, and their attributes.
 
-Every square of the plan has a run of candidates: the points of the tile's square from rank 0 on. Their positions depend
-on no view and are cached from frame to frame.
+Square tiles of the ground repeat one pattern of points, each with another shift. A point's rank is its number in the
+order in which points appear as the density grows. The plan is divided into smaller squares; each has a run of
+candidates: the pattern's points in that square of its tile, from rank 0 on. Their positions depend on no view and are
+cached from frame to frame. A run has its tile's column and row (`tile_x`, `tile_y`), `count` ranks from entry `first`
+of `pattern.order` on, its first candidate (`at`) and the first entry for those that are chosen (`out`).
 """
 
 import warp as wp
@@ -123,7 +126,8 @@ def place_candidates(
     """Write position, unit normal and density of the candidates of runs begin .. end - 1.
 
     A candidate is moved to the nearest lattice point. Density is 1, less at seams of tiles, and 0 where there is no
-    ground; the position there is meaningless. valid: 0 for missing samples, empty without holes.
+    ground; the position there is meaningless. displacement: the field's displacement layers. valid: 0 for missing
+    samples, empty without holes. pattern.place: position of each rank in its tile, in steps of UNIT sides of the tile.
     """
     units_a_cell = wp.float64(wp.int32(1) << (domain.unit_bits - domain.levels))
     # From slopes in metres a cell to metres a metre after scaling.
@@ -205,7 +209,8 @@ def choose(
 def rotation_of(style: ScatterStyle, normal: wp.vec3f, turn: wp.int32) -> wp.vec4f:
     """Return the rotation of a point as a quaternion (w, x, y, z): about the vertical, then towards the normal.
 
-    turn: index of the rotation about the vertical in `style.cosine` and `style.sine`.
+    turn: index of the rotation about the vertical in `style.cosine` and `style.sine`, which have half of each angle.
+    style.align: 0 for upright points, 1 for points along the normal.
     """
     # The shortest rotation from the vertical to a direction n = (x, y, z) is (|n| + z, -y, x, 0); turn first.
     x = normal[0] * style.align
@@ -232,7 +237,8 @@ def fill_points(
     """Write the chosen points of runs begin .. end - 1 to the output arrays, those of a run from index first[run] on.
 
     Size, variant and rotation depend on the style's seed, the tile and the rank alone, so a point keeps them. Its
-    variant is a random number, 0 .. 2^31 - 1.
+    variant is a random number, 0 .. 2^31 - 1; its id is unique, with RANKS ids for each tile. style.variation: largest
+    change of the size, a fraction.
     """
     for t in range(begin, end):
         run = runs[t]

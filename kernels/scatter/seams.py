@@ -3,6 +3,9 @@
 
 A point that is too near to one of lower rank in another tile appears only at a density where all points may be as near,
 so that points up to any rank keep their distance over seams, too.
+
+A tile's side has 2^UNIT_BITS units. `pattern.place` has the position of each rank's point, units; `pattern.order` the
+ascending ranks in each square of 1/16 of a side, from entry `pattern.first` of the square on.
 """
 
 import warp as wp
@@ -84,7 +87,7 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
             for k in range(pattern.first[square], pattern.first[square + 1]):
                 rank = pattern.order[k]
                 if rank >= ranks:
-                    break
+                    break  # ranks ascend
                 p = shift_point(pattern.place[rank], shift)
                 x = wp.float64(p[0] - q[0])
                 y = wp.float64(p[1] - q[1])
@@ -96,9 +99,9 @@ def nearest2(pattern: Pattern, shift: wp.vec2i, q: wp.vec2i, ranks: wp.int32, li
 def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: wp.vec2i) -> wp.float64:
     """Return the factor, 0 .. 1, on the density at a point at q (units of the tile) with this rank in tile (x, y).
 
-    The point appears where the product reaches its rank. The factor is 1, or less if a point of another tile is too
-    near: the squared distance to it over the one required at this rank. It is 0 for a point that would appear at no
-    density up to 1.
+    A point appears where density times factor reaches its rank as a fraction of all ranks. The factor is 1, or less if
+    a point of another tile is too near: the squared distance to it over the one required at this rank, APART sides over
+    the root of the number of points. If even density 1 would not reach the rank, the factor is 0.
     """
     side = wp.int32(1) << UNIT_BITS
     num_points = wp.float64(rank) + wp.float64(0.5)  # of the tile at the density at which this one appears

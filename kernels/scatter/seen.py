@@ -31,14 +31,17 @@ def density_at_distance(full2: wp.float64, distance_squared: wp.float64) -> wp.f
 
 @wp.func
 def distance2(view: LocalView, x: wp.float64, y: wp.float64, z: wp.float64) -> wp.float64:
-    """Return the squared distance of the offset (x, y, z) from the eye, metres of camera space; 0 for parallel rays."""
+    """Return the squared distance of the offset (x, y, z) from the eye, metres of camera space.
+
+    It is 0 in an orthographic view, so that the density is 1 at any distance.
+    """
     distance_squared = view.weight[0] * (x * x) + view.weight[1] * (y * y) + view.weight[2] * (z * z)
     return wp.where(view.kind == ORTHOGRAPHIC, wp.float64(0.0), distance_squared)
 
 
 @wp.func
 def density_by_view(full2: wp.float64, view: LocalView, p: wp.vec3d, clear: wp.int32) -> wp.float64:
-    """Return the density that one view wants at point p (metres): 0 outside its frame, which includes the margin.
+    """Return the density that one view wants at point p (metres): 0 outside its frame, widened by the scatter's margin.
 
     full2: squared distance up to which the density is 1. clear: 1 if p is known to be in the frame. Hidden ground
     counts as visible.

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The densities of views over squares of the plan, whose boxes come from the stored ranges of heights."""
+"""The densities of views over squares of the plan, whose boxes come from the stored ranges of heights.
+
+`q`: the size and position of the squares, and the ranges that are read for them: of lattice cells of q.cell_x by
+q.cell_y metres, at least as large as a square; `q.low` and `q.high` are the range of the whole surface.
+"""
 
 import warp as wp
 

@@ -11,7 +11,7 @@ has two bits or more, and there are fewer words than leaves.
 The words below a word lie together in a *page* of 64, which is taken from a pool when the first is stored. Beside each
 word stands a mask of the bits below which a word is stored, and its counter: the leaves that begin in the word, without
 the first, which the bit above it counts. So a counter is a population count and a sum over a page, and a slot that
-stores no word adds 0 to it.
+stores no word adds 0 to it. `t` is the tree's Bitfield.
 """
 
 import warp as wp
@@ -92,7 +92,10 @@ def bits_below(bit: wp.int32) -> wp.uint64:
 
 @wp.func
 def mark_changed(t: Bitfield, slot: wp.int32, level: wp.int32):
-    """List a word whose counter has to be summed again, once, whichever thread comes first. level: the word's level."""
+    """List a word whose counter has to be summed again, once, whichever thread comes first. level: the word's level.
+
+    The counter is CHANGED from then on, which shows that the word is listed.
+    """
     count = t.counts[slot]
     if count != CHANGED:
         if compare_exchange(t.counts, slot, count, CHANGED) == count:  # no other thread was first

@@ -3,6 +3,10 @@
 
 Setting the bit of the first deepest cell of its second child splits a node, and clearing it merges the node (Dupuy
 2020, section 3.3).
+
+`words`, `stored` and `pages` of the bitfield t have an entry for each slot: a word of 64 bits, the mask of its bits
+below which there is another word, and the page of 64 slots that holds those words. A word of level L has a bit for each
+64^L deepest cells.
 """
 
 import warp as wp

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Queries of many leaves at once."""
+"""Queries of many leaves at once. `t` is the tree's Bitfield.
+
+A node's heap id is 1 at the root; node n has the children 2n and 2n + 1.
+"""
 
 import warp as wp
 

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The sum reduction: the counters of changed words, from the lowest level up."""
+"""The sum reduction: the counters of changed words, from the lowest level up.
+
+`words`, `stored`, `counts` and `pages` of the bitfield t have an entry for each slot: a word of 64 bits, the mask of
+its bits below which there is another word, the number of leaves in it less 1, and the page of 64 slots that holds the
+words below. `changed` lists the changed words as level << LEVEL_SHIFT | slot, and state[NUM_CHANGED] is their number.
+"""
 
 import warp as wp
 

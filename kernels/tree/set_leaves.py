@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Replacement of all leaves at once, in the order of the curve, as a refinement does."""
+"""Replacement of all leaves at once, in the order of the curve, as a refinement does.
+
+A word of the bitfield t has 64 bits; at level L each stands for 64^L deepest cells, and is set if a leaf begins there.
+`words`, `stored`, `counts` and `pages` have an entry for each slot: a word, the mask of its bits below which there is
+another word, its number of leaves less 1, and the page of 64 slots that holds the words below.
+
+A *run* is the leaves of one part of the curve. Its `same` lists nodes below which the tree already has the same leaves:
+their bits are copied.
+"""
 
 import warp as wp
 
@@ -50,7 +58,7 @@ def log2_size_of(run: LeafRun, k: wp.int64) -> wp.int32:
 
 @wp.func
 def first_of_same(run: LeafRun, same: wp.int64) -> wp.int64:
-    """Return the number in the run of the first leaf of node run.same[same]; `run.count` if there is no such node."""
+    """Return the number in the run of the first leaf below node run.same[same]; `run.count` beyond the run's nodes."""
     first = run.count
     if same < run.end_same:
         first = run.same[same].first - run.first
@@ -124,9 +132,9 @@ def fill_words(
 
     It ends at a leaf of another level, at the last leaf, and at a word with words below it, which have to be freed.
     Return the number of leaves << 8 | the number of words. codes, first, count: the leaves; a depth is in the bits
-    `shift` .. `shift` + 5 of a code. readable: leaves that may be read, at least `count`. deepest: depth of a leaf that
-    takes one bit of these words. first_slot: slot of the first of them. words, counts, pages, state: arrays of the
-    bitfield; state[DIFFERS] is set if a word changes.
+    `shift` .. `shift` + 5 of a code. readable: leaves that may be read, at least `count`; a word has up to 64, which
+    are read before they are counted. deepest: depth of a leaf that takes one bit of these words. first_slot: slot of
+    the first of them. words, counts, pages, state: arrays of the bitfield; state[DIFFERS] is set if a word changes.
     """
     ...
 
@@ -168,7 +176,7 @@ def close_word(
     overwritten: each run flips only its bits, and the word is counted afterwards.
     """
     bit_shift = wp.uint64(WORD_BITS * level)
-    word_shift = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))
+    word_shift = wp.uint64(wp.min(WORD_BITS * (level + 1), 63))  # above all cells at the highest word
     word_start = ((end - ONE) >> word_shift) << word_shift
     word_cells = ONE << wp.uint64(wp.min(t.max_depth, WORD_BITS * level + WORD_BITS))
     run_bits = ALL_BITS  # bits whose first cell is the run's

@@ -305,14 +305,15 @@ class Terrain:
         scaling = request.vertical_scale, request.vertical_offset
         shape = _Shape(criterion.meshlet, depth, *scaling, morph_until)
         domain = self._placed_domain(shape)
-        # The largest errors of float32 corners along each axis, and of heights in all, metres.
+        # The largest errors of float32 corners along each axis, and of heights in all, metres. The triangles of a
+        # leaf's meshlet are 2 * meshlet bisections deeper than the leaf.
         offsets = position_rounding(self.field, depth + 2 * criterion.meshlet, *scaling)
         plan = PlanUnits((domain.unit_x, domain.unit_y), domain.unit_bits, depth, offsets)
         spans = spans_of(criterion, request.views if criterion.needs_view else (), request.placement, plan)
         max_rounding = domain.rounding + domain.max_lean + domain.source
 
         def views_within(margins: Any = None) -> list:
-            """Return the views in terrain space. margins: degrees around the frame, None for the guard band."""
+            """Return the views in terrain space. margins: degrees around the frame with full detail, None: default."""
             seen = zip(spans.views, spans.scales, strict=True)
             return [
                 localise(view, request.placement, box, criterion, scale, max_rounding, margins) for view, scale in seen
@@ -386,9 +387,9 @@ class Terrain:
 
     def _max_depth(self, criterion: Criterion) -> int:
         """Return the maximum number of bisections of a leaf, 1 or more, without those of its meshlet."""
-        depth = usual_depth(self.field)
+        depth = usual_depth(self.field)  # the field's default
         if criterion.max_depth is not None:
-            depth = min(depth_limit(self.field), criterion.max_depth)
+            depth = min(depth_limit(self.field), criterion.max_depth)  # limit: float32 cannot represent more
         return max(1, depth - 2 * criterion.meshlet)
 
 

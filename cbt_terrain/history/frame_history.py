@@ -130,7 +130,9 @@ class FrameHistory:
     def reuse_subtrees(self, domain: Domain, criterion: CriterionArrays, max_depth: int) -> "Motion | None":
         """Return how the view has moved since the last frame's subtrees were cached; None if none may be reused.
 
-        The result is in `scratch` until the next call. Arguments: those of the frame that begins.
+        They may be if only the camera has moved, and lengths of the view and the criterion have drifted by rounding, a
+        fraction of at most MAX_DRIFT. The result is in `scratch` until the next call. Arguments: those of the frame
+        that begins.
         """
         cached = self.last.subtrees
         if cached is None or (drift := cached.drift(domain, criterion, max_depth)) > MAX_DRIFT:
@@ -140,15 +142,18 @@ class FrameHistory:
         return motion
 
     def need_tree(self, max_depth: int, threads: int) -> None:
-        """Keep the tree if it has this depth, else begin with a new one."""
+        """Keep the tree if it has `max_depth` levels, else begin with a new one. threads: those that it may use."""
         if self.tree is None or max_depth != self.tree.max_depth:
             self.tree, self._tree_leaves = ConcurrentBinaryTree(max_depth, threads), None
 
     def set_tree(self, leaves: Leaves, parts: list[LeafPart], cell_bits: int) -> bool:
         """Write the next frame's leaves into the tree, and return whether it has changed.
 
-        parts: their codes by slice. They may name nodes whose leaves are those of the last frame; that is ignored if
-        the tree holds other leaves. cell_bits: log2 of the deepest cells of a root square.
+        leaves: the object that stands for these leaves as long as the tree holds them. parts: runs of leaves, one for
+        each slice of the work, as codes with the depth of a leaf from bit DEPTH_SHIFT on. A part may list nodes
+        (`same`) whose leaves are those of the last frame and need not be written. If the tree holds other leaves, their
+        number `num_same` is set to 0, so that all leaves are written. cell_bits: log2 of the number of deepest cells in
+        a root square.
         """
         if self._tree_leaves is not self.last.leaves:
             parts = [part._replace(num_same=0) for part in parts]
@@ -163,11 +168,12 @@ class FrameHistory:
         self.last.subtrees = None
 
     def reuse_vertices(self, domain: Domain, morphs: bool, has_runs: bool) -> bool:
-        """Return whether vertices of the last frame may be copied; let go of its result.
+        """Return whether vertices of the last frame may be copied; forget its result, which uses their memory.
 
-        Vertices that changed places where the mesh was cut are put back. Without reuse the next vertices are written
-        into the memory of the last ones. morphs: whether this frame's vertices geomorph. has_runs: whether runs of
-        vertices that are in both frames can be known.
+        If so, they are brought into the order of the last leaves: where the last mesh was cut off, its last vertices
+        took the places of removed ones (`swapped`, pairs of vertices), and are moved back. Otherwise the next vertices
+        are written into the memory of the last ones. morphs: whether this frame's vertices geomorph. has_runs: whether
+        runs of vertices that are in both frames can be known.
         """
         vertices = self.last.vertices
         reuses = has_runs and vertices is not None and vertices.domain is domain and vertices.morphs == morphs
@@ -181,8 +187,8 @@ class FrameHistory:
             self._loans.reclaim(written, copied=[], read=last)
         else:
             self._loans.reclaim(written, copied=last)
-            for swapped in reversed(vertices.swapped):
-                for name in DISPLACED:
+            for swapped in reversed(vertices.swapped):  # the last cut first
+                for name in DISPLACED:  # the arrays of a surface: positions, normals, texture coordinates
                     array = self.last.arrays.numpy(name)
                     array[swapped] = array[swapped[::-1]]
             vertices.swapped = []

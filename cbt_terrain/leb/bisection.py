@@ -16,7 +16,7 @@ from ..run import launch
 from ..run.buffers import flat, shared
 from ..tree.concurrent_binary_tree import ConcurrentBinaryTree
 
-NODE_COST = 5.0  # of a node's triangle or neighbours, in lookups: see `launch.spread`
+NODE_COST = 5.0  # of a node's triangle or neighbours, in array lookups (15 ns); small jobs stay on one thread
 
 
 def grid_of(lattice: Lattice) -> kernels.SquareGrid:

@@ -47,7 +47,7 @@ class Attribute:
     def check(self, name: str, sizes: dict[str, int]) -> None:
         """Raise TerrainError unless a mesh can carry the attribute.
 
-        sizes: number of elements of the mesh, by domain.
+        Its `kind` (dtype and width) must be one of TYPES. sizes: number of elements of the mesh, by domain.
         """
         what = f"The attribute {name!r} is {self.array.dtype} {list(self.array.shape)} of the domain {self.domain!r}"
         if self.domain not in sizes:

@@ -25,9 +25,9 @@ def cut_ends(
 ) -> tuple[Surface, list[np.ndarray]]:
     """Cut the surface of all leaves at the raster's border and at its holes.
 
-    Return a Surface, and for each cut the pairs of swapped vertices, int64 [2, n], in order: one cut, or two with
-    holes. domain: the placed field. room: allocates the larger arrays; another one than the default overwrites those
-    of `surface`.
+    Return a Surface, and for each cut the pairs of vertices that were swapped to fill gaps, int64 [2, n], in order: one
+    cut, or two with holes. domain: the placed field. room: allocates the larger arrays; another one than the default
+    overwrites those of `surface`.
     """
     surface, at_border = cut(surface, border_sides(domain), room=room, threads=threads)
     if field.valid is None:
@@ -40,9 +40,10 @@ def border_sides(domain: Domain) -> list[Side]:
     """Return the sides on which to cut because the raster ends before its squares do: east, north, both or none."""
     # Of each axis: the border in units, the first unit's coordinate, and metres a unit.
     axes = (domain.east, domain.west, domain.unit_x), (domain.north, domain.south, domain.unit_y)
-    # Points have float32's steps, and a point where an edge is cut has those of both axes.
+    # Positions are rounded to float32. A new vertex is on an edge, so rounding along one axis also moves it along the
+    # other: the steps of both axes are added.
     rounding = 2.0 * add_up(float(np.spacing(np.float32(abs(start)))) / unit for _, start, unit in axes)
-    # The same expression as in the displacement of points.
+    # start + border * unit: computed as the displacement computes positions, so that its vertices are exactly on it.
     return [
         border_side(axis, start + border * unit, rounding * unit)
         for axis, (border, start, unit) in enumerate(axes)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Build of a surface from leaves: welding, meshlets, displacement, and the cut at the border."""
+"""Build of a surface from leaves: welding, meshlets, displacement, and the cut at the border.
+
+The history owns the arrays of the last and the next frame, and scratch memory. The walk has written the next frame's
+leaves in slices, one for each of its threads.
+"""
 
 from dataclasses import dataclass
 
@@ -55,14 +59,15 @@ def build_surface(field: HeightField, request: SurfaceRequest, history: FrameHis
     assert leaves is not None, "refine has not been called"
     triangles, vertices, edges = leaves.counts.sum(axis=0).tolist()
     tables = template(meshlet) if meshlet else None
-    # whether it is known which points both frames have
+    # Whether there are lists of runs: points that this frame and the last one have, whose vertices can be copied.
     has_runs = tables.inner_points > 0 if tables else history.next.reused_points is not None
-    reuses, slots = history.reuse_vertices(domain, geomorph is not None, has_runs), None
+    reuses, slots = history.reuse_vertices(domain, geomorph is not None, has_runs), None  # slots: list of each part
     _check_memory(triangles * 4**meshlet)
     weld(field, domain, history, level_in=arrays if tables else scratch)
-    # Points are stored slice by slice; those of meshlets in one row, points inside leaves last.
+    # The walk has stored points slice by slice. Points of meshlets are stored in one row: first those on corners and
+    # edges of leaves, then those inside leaves.
     point = arrays.get("point", 0, wp.vec2i)  # 0: as large as the walk has made it
-    # The first entry and the number of the points of each slice.
+    # First entry and number of the points of each slice; with meshlets, of those two groups.
     parts = [(int(base), n) for base, n in zip(leaves.base, leaves.counts[:, 1].tolist(), strict=True)]
     prefix, built = "leaf_", Vertices(domain, geomorph is not None)
     if tables:

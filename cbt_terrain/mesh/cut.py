@@ -3,6 +3,9 @@
 
 The value is linear over a triangle, so the cut is straight and the rest of the surface is unchanged: its bounds hold.
 The border of a padded raster and the outlines that users cut are made this way.
+
+Removed elements leave gaps, which the last elements fill. Vertices that fill a gap are swapped with the removed ones,
+and the pairs are returned, so that the next frame can restore the order of the walk.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,7 +40,7 @@ MAX_EDGES = 3
 
 NONE_SWAPPED = np.empty((2, 0), np.int64)
 
-# (name, array, count) -> the surface's array or a copy of it, with room for `count` items.
+# Allocator: (name, array, count) -> the surface's array `name` or a copy of it, with room for `count` items.
 Room = Callable[[str, np.ndarray, int], np.ndarray]
 
 
@@ -65,8 +68,9 @@ def above_line(axis: int, at: float) -> Side:
 def border_side(axis: int, at: float, rounding: float) -> Side:
     """Return the side that keeps positions whose coordinate `axis` is at most `at` metres: the border, where uv is 1.
 
-    Vertices are on the border or cells away from it, so none needs the tolerance. Only new vertices of the other border
-    may be within `rounding` of this one: an edge halfway between both may meet both in the raster's corner.
+    Vertices are on the border or cells away from it, so none needs the tolerance. An edge may run through the raster's
+    corner, where both borders meet: a new vertex that the cut at the other border makes there is on this border, too,
+    and misses it by `rounding` at most.
     """
     at = float(np.float32(at))
     known = (("positions", axis, at), (UV, axis, 1.0))
@@ -179,7 +183,9 @@ class _Work:
     def cut(self, side: Side, value: np.ndarray) -> None:
         """Cut at a side: add vertices, edges and triangles with their attributes; mark the negative part as removed.
 
-        value: float64 [V], the side's signed values of the vertices from before all cuts.
+        value: float64 [V], the side's signed values of the vertices from before all cuts. side.known: (array, column,
+        number) that vertices on the side get exactly; side.tolerance: rounding within which a vertex is on the side;
+        side.rounding: metres by which vertices that earlier cuts made may miss it where both lines meet.
         """
         first, first_edge, first_face, _ = self.counts.tolist()
         self.value[self.corners] = value[self.corners]
@@ -294,7 +300,7 @@ def swap(array: np.ndarray, swapped: np.ndarray) -> None:
 
 
 def _triangles_near(near: np.ndarray, corner_verts: np.ndarray, threads: int) -> np.ndarray:
-    """Return the triangles that have a flagged vertex, int32, ascending. near: bool [V]."""
+    """Return the triangles that have a flagged vertex, int32, ascending. near: bool [V]. corner_verts: int32 [3 T]."""
     triangles = len(corner_verts) // 3
     pieces = threads if triangles >= launch.SLICE_ITEMS else 1
     listed, counts = np.empty(triangles, np.int32), np.zeros(pieces, np.int32)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Displacement: positions, normals and uv of a frame's points. Points that the last frame had are copied."""
+"""Displacement: positions, normals and uv of a frame's points. Points that the last frame had are copied.
+
+A run is a sequence of points that is contiguous in both frames. Points are stored in slices, one for each thread of the
+walk; a slice has a list of runs. `history` owns the arrays of the last and the next frame.
+"""
 
 from functools import cache
 
@@ -94,7 +98,7 @@ def reuse_inner_points(history: FrameHistory, now: Vertices, points: int) -> lis
     runs, room = scratch.struct(Runs, slot=1), min(before.leaves, now.leaves)
     bind(runs, runs=scratch.get("inner_runs", room, Run), counts=scratch.get("inner_run_counts", 1, wp.int64))
     bind(runs, room=room, lists=1)
-    levels = [frame.arrays.get("leaf_level", 1, wp.int32) for frame in (history.last, history.next)]
+    levels = [frame.arrays.get("leaf_level", 1, wp.int32) for frame in (history.last, history.next)]  # 1: any size
     firsts = before.first_inner, now.first_inner
     inputs = [before.leaves, now.leaves, *levels, *firsts, points, runs.runs, runs.counts]
     launch.once(meshlet_kernels.find_common_points, inputs, step="meshlets", recorded=history.next.arrays.launches)

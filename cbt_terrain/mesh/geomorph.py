@@ -31,9 +31,9 @@ class Geomorph:
     ) -> kernels.Morphing:
         """Return the arguments of the geomorph kernels.
 
-        They have the last frame's records of points, and room for those of the next frame. layers: packed displacement,
-        None without one. meshlet: leaves are drawn as 4**meshlet triangles. vertices: number of points for which room
-        is needed.
+        They have the last frame's records of points (surface and error at each), from `history`, and room for those of
+        the next frame. layers: packed displacement, None without one. meshlet: leaves are drawn as 4**meshlet
+        triangles. vertices: number of points for which room is needed.
         """
         packed = kernels.Morphing()
         packed.criterion, ramp = self.criterion, packed.ramp

@@ -15,7 +15,7 @@ Barycentric = tuple[int, int, int]  # weights of left, apex and right, in n-ths
 
 
 def _middle(p: Barycentric, q: Barycentric) -> Barycentric:
-    """Return the midpoint of two points in barycentric coordinates, whole numbers of n-ths."""
+    """Return the midpoint of two points in barycentric coordinates, in units of 1 / segments."""
     return (p[0] + q[0]) // 2, (p[1] + q[1]) // 2, (p[2] + q[2]) // 2
 
 
@@ -35,7 +35,10 @@ def template(meshlet: int) -> Template:
     inner_lines: dict[frozenset[Barycentric], tuple[int, Barycentric, Barycentric]] = {}
 
     def point(weights: Barycentric) -> int:
-        """Return the number of a point: corners first, then points on sides, then inner ones as they are met."""
+        """Return the number of a point: corners first, then points on sides, then inner ones as they are met.
+
+        weights: its barycentric coordinates (of left, apex, right), in units of 1 / segments.
+        """
         if segments in weights:
             return weights.index(segments)
         side = _side(weights)

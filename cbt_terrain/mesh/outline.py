@@ -74,7 +74,7 @@ def _lines(border: np.ndarray) -> np.ndarray:
 
 
 def _from_line(line: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the signed distance of points to a line, positive on its left, metres."""
+    """Return the signed distance of points, float64 [n, 2], to a line (a, b, c), positive on its left, metres."""
     x, y = points[:, 0].astype(np.float64), points[:, 1].astype(np.float64)
     return line[0] * x + line[1] * y + line[2]
 
@@ -91,6 +91,7 @@ def _holds_all(lines: np.ndarray, points: np.ndarray) -> bool:
 def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> np.ndarray:
     """Return float64 [V]: distance of each vertex to the border in metres, positive inside.
 
+    triangles: those of the outline, float64 [n, 3, 2], counter-clockwise. border: its edges, float64 [m, 2 ends, x y].
     Exact for vertices of triangles with corners inside and outside; all others have the right sign and a magnitude of
     1.
     """

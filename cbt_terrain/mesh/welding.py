@@ -24,22 +24,24 @@ class TornMesh(TerrainError):
 def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Buffers) -> None:
     """Number the next frame's vertices and edges along the curve, the slices side by side; then join the slices.
 
-    The mesh is in scratch arrays that begin with "leaf_"; the levels of leaves are in `level_in`. Raises TornMesh where
-    a damaged field or tree gives leaves that do not fit together. An import is a vertex or edge of an earlier slice, a
-    fix a triangle that has one.
+    history: has the leaves that the walk wrote in slices, and owns the arrays. A slice refers to vertices and edges of
+    earlier slices by negative numbers (imports), which the join replaces. The mesh is in scratch arrays that begin with
+    "leaf_"; the levels of leaves are in `level_in`. Raises TornMesh where a damaged field or tree gives leaves that do
+    not fit together.
     """
     leaves, scratch, arrays = history.next.leaves, history.scratch, history.next.arrays
     assert leaves is not None, "refine has not been called"
     triangles, _, edges = leaves.counts.sum(axis=0).tolist()
     slices, squares = len(leaves.counts), domain.columns * domain.rows
     _check_sides(field, leaves.sides.reshape(domain.rows, domain.columns, 4))
-    # first edges of all right sides, then of all upper ones, where the squares beyond these sides look them up
+    # Entry in `side` of the first edge of each square's right side, then of each upper side: squares that share a side
+    # look up its edges there.
     side_base = scratch.get("side_base", 2 * squares + 1, wp.int32)
     side_bases = scratch.numpy("side_base")
     side_bases[0] = 0
     np.cumsum(leaves.sides.T[2:], dtype=np.int32, out=side_bases[1 : 2 * squares + 1])
-    # An entry in each list for every leaf, and some more: memory is committed as it is touched.
-    room, sides = triangles + weld_state.SPARE * slices, int(side_bases[2 * squares])
+    # Each list has an entry for every leaf, and SPARE for each slice: memory is committed only as it is touched.
+    list_size, sides = triangles + weld_state.SPARE * slices, int(side_bases[2 * squares])
     w = scratch.struct(weld_state.Weld)
     w.columns, w.rows = domain.columns, domain.rows
     bind(
@@ -53,18 +55,18 @@ def weld(field: HeightField, domain: Domain, history: FrameHistory, level_in: Bu
         side=scratch.get("side", sides, wp.vec2i),
         side_level=scratch.get("side_level", sides, wp.int32),
         corners=scratch.get("corners", 2 * squares, wp.int32),
-        stack=scratch.get("weld_stack", 2 * room, wp.vec2i),
-        stack_level=scratch.get("weld_stack_level", 2 * room, wp.int32),
-        imports=scratch.get("imports", 2 * room, wp.vec2i),
-        fixes=scratch.get("fixes", room, wp.int32),
+        stack=scratch.get("weld_stack", 2 * list_size, wp.vec2i),
+        stack_level=scratch.get("weld_stack_level", 2 * list_size, wp.int32),
+        imports=scratch.get("imports", 2 * list_size, wp.vec2i),
+        fixes=scratch.get("fixes", list_size, wp.int32),  # triangles that have an import
         state=scratch.get("weld_state", (slices + 1) * weld_state.STATE_SIZE, wp.int32),
         **mesh_arrays(scratch, "leaf_", triangles, edges, level_in),
     )
     launch.slices(weld_kernels.weld, [[k, w] for k in range(slices)], step="weld", recorded=scratch.launches)
     if slices > 1:
-        open_edges, found = scratch.get("open_edges", 2 * room, wp.vec2i), scratch.get("found", 2 * room, wp.vec2i)
-        open_level = scratch.get("open_level", 2 * room, wp.int32)
-        inputs = [slices, room, w, open_edges, open_level, found]
+        open_edges, found = (scratch.get(name, 2 * list_size, wp.vec2i) for name in ("open_edges", "found"))
+        open_level = scratch.get("open_level", 2 * list_size, wp.int32)
+        inputs = [slices, list_size, w, open_edges, open_level, found]
         launch.once(join_kernels.join, inputs, step="weld", recorded=scratch.launches)
     state = scratch.numpy("weld_state")[: slices * weld_state.STATE_SIZE].reshape(slices, -1)
     # Each slice ends at the level at which the next one begins; the first begins, and the last ends, at 0.

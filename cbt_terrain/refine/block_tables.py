@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The table of blocks: leaves and new vertices of an evenly bisected triangle, for each state of the curve."""
+"""The table of blocks: leaves and new vertices of an evenly bisected triangle, for each state of the curve.
+
+The curve through the leaves enters and leaves a triangle through two of its edges. A *state* is which two they are: two
+legs (LEG_LEG), the longest edge and a leg, or a leg and the longest edge; and, as its lowest bit, 1 if the third edge
+was passed before.
+"""
 
 from functools import cache
 
@@ -16,7 +21,7 @@ def bisected_states(state: int, bisections: int) -> tuple[list[int], list[tuple[
     """Return the leaves of a uniformly bisected triangle, as states in curve order, and its new vertices.
 
     A vertex is (a, b): from the apex a and b times 2^-ceil(bisections / 2) of the legs towards left and right.
-    bisections: depth of all leaves. state: how the curve passes the triangle (kernels/refine/curve.py).
+    bisections: depth of all leaves. state: how the curve passes the triangle.
     """
     leaves: list[int] = []
     vertices: list[tuple[int, int]] = []
@@ -47,7 +52,12 @@ def _array(values: list, dtype: type) -> wp.array:
 
 @cache
 def block_table() -> BlockTable:
-    """Return the table of all blocks of up to MAX_BISECTIONS, which kernels/refine/block.py copies."""
+    """Return the table of all blocks of up to MAX_BISECTIONS, which kernels/refine/block.py copies.
+
+    `code` has the states of all leaves, `leg` the positions of all new vertices in fractions of the two legs, in the
+    order of the curve. Entry STATES * bisections + state of `first_leaf`, `first_vertex` and `vertices` (their number)
+    locates those of one block.
+    """
     all_leaves: list[int] = []
     all_vertices: list[tuple[int, int]] = []
     first_leaf, first_vertex, vertex_counts = [], [], []

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The factor that relaxes a criterion so that the mesh keeps to a number of leaves."""
+"""The factor that relaxes a criterion so that the mesh keeps to a number of leaves.
+
+A *step* is one of a row of factors, 128 of them an octave, from 0 (not relaxed) to MAX_STEP. lattice: the root squares
+of the field. request: the criterion on the placed field. history: hints and scratch arrays, which only save time.
+"""
 
 import math
 from functools import cache, partial
@@ -44,9 +48,9 @@ def search(
 ) -> Found:
     """Find the finest relaxation step that gives at most `max_leaves`, not finer than `low`; MAX_STEP + 1 if none does.
 
-    start: the last frame's result, None without one. It changes how long the search takes, not the answer. Without
-    `start`, step 0 is returned without counting if it may fit: the refinement that follows finds out as soon as
-    counting would.
+    start: the last frame's result, None without one. It changes how long the search takes, not the answer. Without it,
+    step 0 is returned uncounted unless counts of coarser steps predict too many leaves: the refinement that follows
+    shows as soon as a count would whether it fits.
     """
     roots = 2 * lattice.squares
     count_at = partial(count_splits, lattice, request, history, threads)
@@ -67,7 +71,8 @@ def ramp_start(
     # no step keeps to the budget, or the next finer one does, too
     if step > MAX_STEP or (step == 0 and leaves < NEAR * max_leaves):
         return factor_at_step
-    search_marks = history.hints.marks  # points of the curve between equal work, where the next search cuts it
+    # points of the curve between equal work, where the next search cuts it; the count below would replace them
+    search_marks = history.hints.marks
     # Count at the next finer step. It may be -1, so the count is at this step with limits that are a step finer.
     _, splits = count_splits(
         lattice, request, history, threads, finest=step, coarsest=step, max_splits=FAR_OVER * max_leaves, finer_by=1

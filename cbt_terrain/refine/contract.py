@@ -2,7 +2,8 @@
 """Reported bounds: the request times the relaxation factor of a triangle limit, or more if that cannot be guaranteed.
 
 A bound is larger where a leaf at the depth limit is still too coarse, and where the rounding of float32 and of the
-source exceeds the request.
+source exceeds the request. Errors on screen are computed in *spans*, or pixel footprints: metres of height over the
+metres that a pixel covers there; Spans converts them to pixels.
 
 With geomorphing the surface is a mean of the meshes for 1 .. k times the tolerance t of the finest mesh. Any excess
 over its tolerance is largest in the finest mesh. So the mean's error is at most the finest mesh's plus (m - 1) t, with
@@ -81,10 +82,10 @@ class Outcome:
     def search(self, quantity: int, threshold: float) -> Excess | None:
         """Find the largest value of a quantity among leaves at the depth limit; None if none is above `threshold`.
 
-        quantity: FIXED, ERROR, EDGE or AREA on ground in view, or METRES anywhere. threshold: in the unit of the
-        result's `value`, or NO_THRESHOLD. With ANY as `max_depth` all leaves of the tree are searched; `threshold` must
-        then be the tolerance to which they were refined. The result is rounded up by at most a thousandth, for ERROR by
-        a hundredth.
+        quantity: FIXED (the error by rounding alone), ERROR, EDGE or AREA on ground in view, or METRES anywhere.
+        threshold: in the unit of the result's `value`, or NO_THRESHOLD. With ANY as `max_depth` all leaves of the tree
+        are searched; `threshold` must then be the tolerance to which they were refined. The result is rounded up by at
+        most a thousandth, for ERROR by a hundredth.
         """
         stack, result = self.buffers.get("excess_stack", STACK, Triangle), self.buffers.get("excess", 3, wp.float64)
         inputs = [
@@ -92,7 +93,7 @@ class Outcome:
             self.arrays,
             quantity,
             self.max_depth,
-            math.copysign(threshold * threshold, threshold),
+            math.copysign(threshold * threshold, threshold),  # of squares; NO_THRESHOLD stays below all of them
             self.tree.bits,
             self.squares,
             stack,
@@ -100,6 +101,7 @@ class Outcome:
         ]
         launch.once(find_largest, inputs, step="bound")
         value2, fixed_m, total_m = self.buffers.numpy("excess")[:3].tolist()
+        # -1: no leaf has a value above the threshold
         return None if total_m < 0.0 else Excess(math.sqrt(value2), fixed_m, total_m)
 
     def relaxation(self, quantity: int, request: float) -> float:
@@ -109,7 +111,7 @@ class Outcome:
         """
         if self.relaxed < math.inf:
             return self.relaxed
-        worst = replace(self, max_depth=1).search(quantity, NO_THRESHOLD)
+        worst = replace(self, max_depth=1).search(quantity, NO_THRESHOLD)  # among the root triangles, of depth 1
         return min(max(worst.value / request, 1.0), MAX_FACTOR) if worst else 1.0
 
     def stopped_above(self, quantity: int, threshold: float) -> Excess | None:
@@ -123,7 +125,7 @@ class Outcome:
 
         The bounds are `guaranteed` and the error of the worst leaf. Leaves, which are refined to `tolerance`, are
         searched only if rounding makes `guaranteed` exceed `request`. They are not searched if the depth limit stopped
-        a leaf: `stopped_above` finds its error. quantity: ERROR or METRES, in whose unit of `search` all numbers are.
+        a leaf: `stopped_above` finds its error. quantity: ERROR, with all numbers in pixel footprints, or METRES.
         """
         if self.stopped or guaranteed <= request * (1 + MARGIN):
             return guaranteed, None
@@ -177,8 +179,9 @@ def bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound | No
 def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     """Return the bound of the screen error for the views of `outcome.arrays`; 0 if no ground is in view.
 
-    It is computed in spans (pixel footprints) and converted at the end, unless it keeps to the request anyway.
-    `tolerance` is that of the finest mesh that morphs, `fixed` the largest error that cannot be refined away.
+    It is computed in spans (pixel footprints) and converted at the end. A bound within the request is not converted:
+    the views' scales make an error of so many spans at most as many pixels. `tolerance` is that of the finest mesh that
+    morphs, `fixed` the largest error that cannot be refined away.
     """
     fixed = outcome.search(FIXED, NO_THRESHOLD)
     if fixed is None:
@@ -188,10 +191,12 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     tolerance = relaxed_request / morph_factor
     morph_error = relaxed_request - tolerance
     min_fixed, max_fixed = outcome.domain.rounding + source, _rounding_error(outcome)
-    # The source's rounding is a fraction of the fixed error that varies over the ground.
+    # The source's rounding is a fraction of the fixed error that varies over the ground: source over `max_fixed` at
+    # least, and over `min_fixed` at most.
     source_low, source_high = (source * fixed.value / metres if metres else 0.0 for metres in (max_fixed, min_fixed))
     guaranteed = _guaranteed(tolerance, fixed.value, source_low, source_high)
-    limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0  # no error exceeds relief + min_fixed
+    # At least `min_fixed` metres cannot be refined away anywhere, so a metre is at most fixed.value / min_fixed spans.
+    limit = fixed.value * (1 + outcome.relief / min_fixed) if min_fixed else 0.0
     too_coarse = outcome.stopped_above(ERROR, min(guaranteed, limit))
     guaranteed, worst = outcome.tighten(ERROR, tolerance, guaranteed, request=tolerance)
     guaranteed = min(guaranteed + morph_error, limit)
@@ -200,7 +205,7 @@ def _bound_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound:
     value = too_coarse.value + morph_error if too_coarse else guaranteed
     precision = (worst_leaf.fixed - source) * spans_per_metre
     bound = _limit_bound(relaxed_request, value, precision, source * spans_per_metre, stopped=too_coarse is not None)
-    if bound.value <= criterion.error_px:  # spans up to the request are no more pixels: see `widening`
+    if bound.value <= criterion.error_px:
         return bound
     pixels = min(spans.pixels(bound.value), LARGEST)
     assert bound.terms is not None, "_limit_bound gives terms"
@@ -212,7 +217,8 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     """Return the bound of the height, metres, between mesh and surface anywhere; None without that criterion.
 
     It is the request times the relaxation factor, or more if rounding or the depth limit prevents that. outcome: the
-    refinement and how it ended.
+    refinement and how it ended. `tolerance` is the error, weighed as the criterion does, to which the finest mesh that
+    morphs is refined; geomorphing adds `morph_error` to the mesh's error.
     """
     if not criterion.error_m:
         return None
@@ -220,11 +226,13 @@ def bound_m(criterion: Criterion, outcome: Outcome) -> Bound | None:
     tolerance = weighed_as(criterion.error_m, source, morph_factor)
     factor = outcome.relaxation(METRES, tolerance)
     tolerance *= factor
+    # The source's part of `fixed` is the same everywhere, so its lower and upper limit are equal. No error exceeds the
+    # range of heights and the rounding.
     guaranteed, limit = _guaranteed(tolerance, fixed, source, source), outcome.relief + fixed
     relaxed_request, morph_error = criterion.error_m * factor, (morph_factor - 1) * tolerance
     too_coarse = outcome.stopped_above(METRES, min(guaranteed, limit))
     guaranteed, _worst = outcome.tighten(METRES, tolerance, guaranteed, request=relaxed_request - morph_error)
-    precision = (too_coarse.fixed if too_coarse else fixed) - source
+    precision = (too_coarse.fixed if too_coarse else fixed) - source  # rounding of float32 alone
     value = too_coarse.value + morph_error if too_coarse else min(guaranteed + morph_error, limit)
     return _limit_bound(relaxed_request, value, precision, source, stopped=too_coarse is not None)
 
@@ -250,7 +258,8 @@ def bound_area_px(criterion: Criterion, spans: Spans, outcome: Outcome) -> Bound
     """Return the bound of the largest triangle, square pixels; None without that criterion.
 
     The search uses the square root of twice the area: the leg of a right triangle of two equal legs. So bounds are
-    computed as lengths, pixels. spans: pixel footprints of the views. outcome: result of the refinement.
+    computed as lengths, pixels; float32 positions lengthen edges by the factor `lengthening`. spans: pixel footprints
+    of the views. outcome: result of the refinement.
     """
     if not criterion.area_px:
         return None
@@ -289,8 +298,9 @@ def _guaranteed(weighed: float, fixed: float, source_low: float, source_high: fl
     """Return the total error that leaves guarantee unless the depth limit stopped them, in the unit of `weighed`.
 
     weighed: largest error as the criterion weighs it. fixed: error that cannot be refined away; the source's share of
-    it is between `source_low` and `source_high`. This inverts `metres2_of` in kernels/refine/diamond.py: an error is
-    not refined below a quarter of the tolerance that the source leaves, nor below a quarter of `fixed`.
+    it is between `source_low` and `source_high`. The geometric error e, which refining reduces, counts with float32's
+    rounding r as w = min(e + r, 4 e) and with the source's s as min(w + s, 1.25 w), and is refined only above
+    (r + s) / 4 (`metres2_of` in kernels/refine/diamond.py). This inverts it: e + r + s is at most the largest term.
     """
     remaining = max(weighed - source_low, 0.8 * weighed)
     return max(weighed, 0.8 * weighed + source_high, 0.25 * remaining + fixed, 1.25 * fixed)

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The polar horizon maps of all views; kernels/refine/hiding.py describes and proves the method."""
+"""The polar horizon maps of all views; kernels/refine/hiding.py describes and proves the method.
+
+A map has a row of ROW directions for each *ring*, a square around the eye. An entry is the slope (height above the eye
+over distance) below which ground within the ring hides everything behind it.
+"""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +44,8 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
             view.rings.first, view.rings.count, view.rings.at = first, count, entries
-            entries += (count + 1) * int(ROW)  # a row of directions for each ring, and one in front
+            # by direction: the floor, below which a ray may pass below the mesh, then a slope for each ring
+            entries += (count + 1) * int(ROW)
     return entries
 
 
@@ -71,7 +76,7 @@ def fill_horizons(
         buffers.numpy("horizons")[:entries] = -math.inf
         return
     blocks = _blocks_of(field, domain, threads)
-    # the longest leg of the deepest leaves
+    # The longest leg of the deepest leaves, which may be too coarse: they are between the ground's heights this near.
     margin_units = 1 << (domain.unit_bits - ((max_depth - 1) >> 1))
     for k, view in views:
         clip_start = _max_clip_distance(domain, view["near2"], view["cosine2"], view["weight"])
@@ -97,7 +102,10 @@ def horizon_of(
 
 
 def _blocks_of(field: HeightField, domain: Domain, threads: int) -> HorizonBlocks:
-    """Return the blocks of a field's surface; they are computed once, and a large raster's are kept in its store."""
+    """Return bounds of the field's surface over square blocks of cells, in levels: a block has 2^level cells a side.
+
+    They are computed once; those of a large raster are kept in its store.
+    """
     blocks = HorizonBlocks()
     if field.interpolation == "bilinear":
         low, level_firsts, row_blocks = extremes(field, np.minimum)
@@ -146,16 +154,20 @@ def _rings_of(domain: Domain, view: LocalView) -> tuple[int, int]:
 
 
 def _max_clip_distance(domain: Domain, near2: float, cosine2: float, weight: Sequence[float]) -> float:
-    """Return a distance max(|x|, |y|) from the eye, metres in terrain space, that is not less than the clip start.
+    """Return a distance max(|x|, |y|) from the eye beyond which no point in the frame is before the clip start.
 
-    near2: square of half the clip start, which is measured along the view; dividing by the cosine gives the
-    distance. cosine2: smallest square of the cosine between a ray and the view. weight: squared scale along x, y,
-    z.
+    It is metres in terrain space, at least a lattice unit. near2: square of half the clip start, which is measured
+    along the view; dividing by the cosine gives the distance. cosine2: smallest square of the cosine between a ray and
+    the view. weight: squared scales from metres along x, y and z to camera space.
     """
     nearest = 2.0 * math.sqrt(float(near2) / (float(cosine2) * min(float(weight[0]), float(weight[1]))))
     return max(nearest, domain.unit_x, domain.unit_y)
 
 
 def ring_of(distance: float) -> int:
-    """Return the number of the largest ring whose radius is at most a distance, as in kernels/refine/hiding.py."""
+    """Return the number of the largest ring whose radius is at most a distance, as in kernels/refine/hiding.py.
+
+    A ring's number is the upper bits of its radius as float64: exponent and first mantissa bits, so that each octave
+    has as many rings.
+    """
     return int(np.float64(distance).view(np.int64)) >> int(RING_BITS)

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The refinement of a terrain for a set of views: drives the walk and keeps to a triangle limit.
 
-Results are functions of the field and the request. The history only saves time.
+The *walk* is the kernel that refines from the root triangles, along the space-filling curve through all triangles; the
+threads walk slices of the curve. Results are functions of the field and the request. The history only saves time:
+`last` is the frame before, `next` the one that is being made, `tree` the concurrent binary tree of the leaves, `hints`
+guesses, `scratch` arrays.
 """
 
 import math
@@ -128,8 +131,9 @@ def _walk(
 ) -> Slices | None:
     """Walk over the curve and write the leaves, again with larger arrays if a slice needs them.
 
-    Return the slices; None if there are more than `max_leaves` leaves. expected: leaves of the mesh if they were
-    counted, so that one walk is enough; else 0.
+    Subtrees of the last frame are reused where the view has hardly moved, and cached for the next one. Return the
+    slices; None if there are more than `max_leaves` leaves. expected: leaves of the mesh if they were counted, so that
+    one walk is enough; else 0.
     """
     domain, criterion, depth, lattice = request.domain, request.criterion, request.max_depth, field.lattice
     cuts = _cuts(history, lattice, threads)
@@ -139,7 +143,7 @@ def _walk(
     caches = criterion.view_count == 1 and criterion.error_px2 < math.inf and not criterion.view.rings.count
     view_motion = history.reuse_subtrees(domain, criterion, depth) if caches else None
     if not caches:
-        history.replace_leaves()
+        history.replace_leaves()  # nothing reads the last frame's leaves, so their memory is free
     while True:
         slices = Slices.of(history, lattice, cuts, depth, max_leaves)
         slices.bind_reuse(caches, view_motion)
@@ -151,7 +155,7 @@ def _walk(
         if leaves.max() <= slices.capacity:
             break
         history.hints.make_room(leaves.max())
-    room = slices.reuses[0].room
+    room = slices.reuses[0].room  # subtrees that each slice may cache
     history.next.subtrees = CachedSubtrees(domain, criterion, depth, len(cuts) - 1, room) if caches else None
     history.next.reused_points = slices.reused_points() if view_motion else None
     return slices
@@ -185,8 +189,8 @@ def _store_leaves(history: FrameHistory, slices: Slices, lattice: Lattice) -> Le
     # Edges that each slice has on the four sides of each square. `before`: those that earlier slices have.
     sides = history.scratch.numpy("sides")[: len(walks) * 4 * squares].reshape(len(walks), squares, 4)
     code = history.next.arrays.numpy("code")
-    base = np.array([w.leaf_base for w in walks], np.int64)[used]
-    starts_square = (code[base] >> curve.FIRST & 1).astype(bool)
+    base = np.array([w.leaf_base for w in walks], np.int64)[used]  # entry of each slice's first leaf in `code`
+    starts_square = (code[base] >> curve.FIRST & 1).astype(bool)  # the slice's first leaf is the first of a square
     cells = np.array([w.first_cell for w in walks], np.int64)[used]
     # A slice whose first cells belong to the last leaf of a square begins with the next square.
     squares_of = (cells >> cell_bits) + (starts_square & (cells & ((1 << cell_bits) - 1) > 0))
@@ -205,9 +209,12 @@ def _store_leaves(history: FrameHistory, slices: Slices, lattice: Lattice) -> Le
 
 
 def _tree_parts(history: FrameHistory, slices: Slices, lattice: Lattice) -> list[LeafPart]:
-    """Return the parts of the tree that the slices have written, and one for the unused squares."""
+    """Return the leaves that the slices have written, as parts of the tree, and a part for the unused squares.
+
+    A part is the leaves up to a cell `end` of the tree, which begins where the part before it ends.
+    """
     parts, unused = slices.leaf_parts(), (1 << lattice.square_bits) - lattice.squares
-    if unused and history.tree:  # each unused number of a square, up to a power of two, is a leaf
+    if unused and history.tree:  # each unused number of a square, up to a power of two, is a leaf: 0 bisections
         codes = shared(np.zeros(unused, np.uint16), wp.uint16)
         parts.append(LeafPart(codes, first=0, count=unused, end=history.tree.cell_count))
     return parts

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The arguments of a refinement."""
+"""The arguments of a refinement.
+
+A Domain is the height field and CriterionArrays are the criterion with its views, both as the kernels read them.
+"""
 
 import math
 from dataclasses import dataclass
@@ -43,7 +46,8 @@ def refinable_domain(
 ) -> Domain:
     """Return the placed field as a refinement reads it.
 
-    rounding: how far float32 positions can move the mesh. meshlet: leaves are drawn as 4**meshlet triangles.
+    Heights become height * height_scale + height_offset metres. rounding: how far float32 positions can move the mesh.
+    meshlet: leaves are drawn as 4**meshlet triangles.
     """
     domain = make_domain(field, meshlet, height_scale, height_offset)
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
@@ -71,7 +75,7 @@ def pack(criterion: Criterion, views: list[LocalView], spans: Spans, source: flo
     arrays.area_px2 = 2 * squared(math.sqrt(criterion.area_px) * spans.edge)
     # `weighed_as` has divided by the mean already; the margin covers the rounding of the bound.
     arrays.metres2 = squared(weighed_as(criterion.error_m, source, mean) * mean * (1 - 2 * MARGIN))
-    arrays.diagonal2, arrays.axis2 = spans.lengths  # squared already
+    arrays.diagonal2, arrays.axis2 = spans.lengths  # of a lattice unit, squared already
     arrays.limit = 1.0  # factor on all squared limits: not relaxed yet
     views = views or [LocalView()]  # kernels get an array that is not empty
     arrays.view, arrays.views = views[0], wp.array(views, dtype=LocalView, device="cpu")

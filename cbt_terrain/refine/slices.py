@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The slices of the curve that threads walk side by side, bound to the arrays of the frame that they write."""
+"""The slices of the curve that threads walk side by side, bound to the arrays of the frame that they write.
+
+Of a FrameHistory: `next.arrays` are those of the frame that is being made, `last.arrays` those of the frame before,
+and `scratch` has arrays without meaning from one frame to the next. Each gives the array of a name, made longer if
+needed.
+"""
 
 from dataclasses import dataclass
 
@@ -55,12 +60,12 @@ class Slices:
         arrays = {
             "code": written.get("code", count * stride, wp.uint16),
             "point": written.get("point", count * stride, wp.vec2i),
-            "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),
-            "aside": scratch.get("walk_aside", count * STACK, wp.int32),
+            "stack": scratch.get("walk_stack", count * STACK, wp.vec4i),  # corners of triangles that are to be visited
+            "aside": scratch.get("walk_aside", count * STACK, wp.int32),  # their state, depth and interval
             "intervals": scratch.get("walk_intervals", count * STACK, LodInterval),
             "diamonds": scratch.get("walk_diamonds", count * STACK, MeasuredDiamond),
             "blocks": block_table(),
-            "sides": scratch.get("sides", count * 4 * squares, wp.int32),
+            "sides": scratch.get("sides", count * 4 * squares, wp.int32),  # edges on the four sides of each square
             "counts": scratch.get("counts", count * 4, wp.int64),
             "ends": scratch.get("ends", count, wp.uint64),
         }
@@ -87,8 +92,8 @@ class Slices:
     def bind_reuse(self, caches: bool, motion: "Motion | None") -> None:
         """Bind the lists of subtrees that the walks cache, and those of the last frame that they reuse.
 
-        caches: whether subtrees are cached for the next frame. motion: movement of the view since the last frame; None
-        to reuse no subtree.
+        Each slice has `room` entries in such a list. caches: whether subtrees are cached for the next frame. motion:
+        movement of the view since the last frame; None to reuse no subtree.
         """
         history, count, last = self.history, len(self.walks), self.history.last
         written, scratch, read = history.next.arrays, history.scratch, history.last.arrays
@@ -143,5 +148,5 @@ class Slices:
 
 
 def room_for(leaves: int) -> int:
-    """Return the number of subtrees that a slice with room for `leaves` leaves may cache."""
+    """Return the number of subtrees that a slice with room for `leaves` leaves may cache: few are of fewer than 8."""
     return leaves // 8 + 8

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The search for the finest relaxation step that meets a budget: each pass counts splits in a window of steps.
 
-The search finds a mesh of a few triangles first, then finer ones. The growth of splits so far predicts the step of the
-next mesh. These choices affect only the time of the search, not its result.
+A step loosens the criterion by a fixed factor, so splits become fewer as steps rise; a split adds one triangle. The
+search finds a mesh of a few triangles first, then finer ones. The growth of splits so far predicts the step of the next
+mesh. These choices affect only the time of the search, not its result.
 """
 
 import math
@@ -44,7 +45,8 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
 
     splits: function that counts them at steps; the numbers fall as steps rise. start: the last frame's result, None
     without one; it changes the time only. Without it, step 0 is returned uncounted if it may fit, since the refinement
-    that follows shows that as soon as counting would. low: the finest step that is allowed.
+    that follows shows that as soon as counting would. low: the finest step that is allowed. REACH, REACH_OF_PARTS:
+    steps in the first window of a search for the budget, and for a fraction of it.
     """
     search = _Search(splits, max_splits, low)
     if start:
@@ -55,15 +57,18 @@ def find_finest_step(splits: Splits, max_splits: int, start: Found | None, low: 
         goal = max(int(fraction * max_splits), min_splits)
         if goal < max_splits:
             search.approach(goal, REACH_OF_PARTS)
-    if not start and search.window(max_splits, beyond=search.low, widening=1, reach=REACH)[0] == 0:
-        return Found(0)  # the next count would begin there
+    if not start:
+        finest, _ = search.window(max_splits, beyond=search.low, widening=1, reach=REACH)
+        if finest == 0:  # the next count would begin there
+            return Found(0)
     search.approach(max_splits, REACH)
     return Found(search.high, int(search.known[search.high]))
 
 
 class _Search:
-    """State of a search: no step finer than `low` fits, `high` fits (beyond MAX_STEP: none is known to fit).
+    """State of a search.
 
+    `high`: finest step that is known to meet the budget, above MAX_STEP if none is. `low`: no finer step meets it.
     `known`: splits of each step, 0 where they are not counted. `_reached`: splits at `high`, or a number that the next
     finer step exceeds.
     """
@@ -74,9 +79,9 @@ class _Search:
         self._reached = 0
 
     def look(self, finest: int, coarsest: int, goal: int) -> int:
-        """Count splits at the steps finest .. coarsest, where there are at most `goal`; return the first such step.
+        """Count the splits at the steps finest .. coarsest; return the first step with at most `goal` of them.
 
-        It is `coarsest` + 1 if there is none.
+        It is `coarsest` + 1 if there is none. The counts become known from that step on.
         """
         first, counts = self._splits(finest, coarsest, goal)
         self.known[first : coarsest + 1] = counts
@@ -91,7 +96,7 @@ class _Search:
         """Search for a step with about `goal` splits; if the goal is the budget, for the finest step that meets it.
 
         It narrows `low` and `high` and adds to the known counts. A NEAR-th of a goal other than the budget is enough.
-        reach: number of steps in the first window.
+        reach: number of steps in the first window; each further window is WIDER.
         """
         beyond, widening = self.low, 1  # every step finer than `beyond` has more splits than the goal
         while beyond < self.high and (goal == self._max_splits or NEAR * self._reached < goal):
@@ -116,7 +121,8 @@ class _Search:
         """Return the step, finer than `high`, that probably has `goal` splits, from the growth of the known counts."""
         growth = max(goal / max(self._reached, 1), 1)
         known = self.known[self.high :]
-        # The slope is measured to the first coarser step with 1 / growth times the splits, limited to 0.5 .. 0.9.
+        # The slope is measured to the first coarser step with 1 / growth times the splits: at most half of them, which
+        # is near enough, and at least a tenth fewer, which is more than single steps scatter.
         fewer = np.flatnonzero((known > 0) & (known <= min(max(1 / growth, 0.5), 0.9) * known[0]))
         slope = SPLITS_PER_ERROR / STEPS_PER_OCTAVE
         if len(fewer):

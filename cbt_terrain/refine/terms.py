@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The terms of an error bound, and bounds of the error that float32 positions add."""
+"""The terms of an error bound, and bounds of the error that float32 positions add.
+
+The *source* is the raster that was imported; its heights are rounded, for example to whole metres. Heights become
+height * vertical_scale + vertical_offset metres.
+"""
 
 from dataclasses import dataclass
 
@@ -70,9 +74,11 @@ def error_without_source(error_m: float, source: float) -> float:
 
 
 def weighed_as(error_m: float, source: float, mean: float) -> float:
-    """Return the weighed metres (`metres2_of` in kernels/refine/diamond.py) to request so that `error_m` holds.
+    """Return the weighed metres to request so that the error of all heights is at most `error_m`.
 
-    mean: from `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
+    A diamond's weighed error (`metres2_of` in kernels/refine/diamond.py) is its geometric error plus the roundings,
+    which count only up to a multiple of it, so that they alone split nothing. source: the source's rounding. mean: from
+    `mean_ramp`; geomorphing adds mean - 1 times the tolerance to the finest mesh's error.
     """
     remaining = error_without_source(error_m, source)
     # Weighed as w, an error without the source's is at most w - source or 0.8 w, whichever is more; geomorphing adds
@@ -83,13 +89,14 @@ def weighed_as(error_m: float, source: float, mean: float) -> float:
 def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_offset: float) -> Rounding:
     """Return the rounding of float32 positions of leaves at `depth` or above.
 
-    A height is rounded by half the spacing of float32 at the highest height. Coordinates that float32 represents
-    exactly do not count. Let R be the range of heights. No facet climbs more than R per raster cell along an axis: its
-    corners are at least a cell apart, or it is inside one cell, where a bilinear surface climbs by no more than the
-    cell's corners differ (BICUBIC_LEAN covers a bicubic one). So rounding by u and v cells along x and y moves the
-    facet by at most (u + v) R, and by at most (u + v) times the sum of the steepest climbs along x and y. Where the
-    border cuts an edge, the new vertex is between two rounded ones and is rounded again. Displacement adds its
-    steepest slope. A coordinate is rounded by at most 2^-24 of itself.
+    The *lean* is what rounded plane coordinates add: they move a facet sideways, and so up or down by its slope. A
+    height is rounded by half the spacing of float32 at the highest height. Coordinates that float32 represents exactly
+    do not count. Let R be the range of heights. No facet climbs more than R per raster cell along an axis: its corners
+    are at least a cell apart, or it is inside one cell, where a bilinear surface climbs by no more than the cell's
+    corners differ (BICUBIC_LEAN covers a bicubic one). So rounding by u and v cells along x and y moves the facet by at
+    most (u + v) R, and by at most (u + v) times the sum of the steepest climbs along x and y. Where the border cuts an
+    edge, the new vertex is between two rounded ones and is rounded again. Displacement adds its steepest slope. A
+    coordinate is rounded by at most 2^-24 of itself.
     """
     lattice = field.lattice
     climb = field.steepest_x * lattice.step_x + field.steepest_y * lattice.step_y  # metres a cell
@@ -115,7 +122,11 @@ def rounding(field: HeightField, depth: int, vertical_scale: float, vertical_off
 def position_rounding(
     field: HeightField, depth: int, vertical_scale: float, vertical_offset: float
 ) -> tuple[float, float, float]:
-    """Return the largest errors of float32 positions of leaves at `depth` or above: metres along x, y and z."""
+    """Return the largest errors of float32 positions of leaves at `depth` or above: metres along x, y and z.
+
+    An error is half the spacing of float32 at the largest coordinate (`_half_step`), 0 in a plane coordinate that is
+    always exact. Along z the float64 rounding of the computed height is added.
+    """
     lattice, errors_in_plane = field.lattice, []
     sides = (
         (lattice.cells_x, lattice.span[0], lattice.step_x, lattice.anchor_x),
@@ -146,7 +157,7 @@ def _is_exact(largest: float, spacing: float) -> bool:
 
     Both numbers are positive.
     """
-    quantum = min(_power_of_two(largest), _power_of_two(spacing))
+    quantum = min(_power_of_two(largest), _power_of_two(spacing))  # a power of two that divides both
     return largest <= quantum * 2.0**SINGLE_BITS
 
 

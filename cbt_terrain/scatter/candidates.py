@@ -13,7 +13,8 @@ SPARE = 2.0  # capacity over the number of candidates
 class Candidates:
     """Runs of candidates in a few long arrays, found by int64 keys.
 
-    `positions`, `normals`: float32 [capacity, 3]; `density`: float32 [capacity].
+    `positions`, `normals`: float32 [capacity, 3]; `density`: float32 [capacity]. Runs are listed by ascending key, with
+    their first candidate and count; `_used` candidates are in the arrays, those of replaced runs included.
     """
 
     def __init__(self) -> None:
@@ -37,9 +38,9 @@ class Candidates:
         return arrays
 
     def find(self, keys: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first candidate of each key's run, int64 [n], and whether it has `count` or more, bool [n].
+        """Return the first candidate of each key's run, int64 [n], and whether the run has `count` or more, bool [n].
 
-        The first is arbitrary where it has not.
+        Where it has not, the first is arbitrary. keys, count: int64 [n].
         """
         if not len(self._keys):
             return np.zeros(len(keys), np.int64), np.zeros(len(keys), bool)

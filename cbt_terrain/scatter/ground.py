@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ground of a scatter: its pattern over a placed field, and the candidates on it."""
+"""The ground of a scatter: its pattern over a placed field, and the candidates on it.
+
+Square tiles repeat one pattern of points, each with another shift (tile.py). A point's rank is its number in the order
+in which points appear as the density grows. A part of a tile shows a window of the pattern; its candidates are the
+window's points from the lowest rank on.
+"""
 
 import dataclasses
 import math
@@ -94,7 +99,7 @@ class ScatterGround:
         return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))
 
     def runs(self, squares: Squares, views: int, threads: int) -> np.ndarray:
-        """Return a run of candidates on the ground for each square; numpy dtype of CandidateRun [n].
+        """Return the run of candidates (contiguous entries of the cache) of each square, in CandidateRun's dtype [n].
 
         views: number of views. Candidates that the cache lacks are computed, somewhat more than are needed.
         """
@@ -187,7 +192,8 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
     pattern.side, pattern.seed, ranked = side, scatter.seed, tile()
     pattern.place = shared(ranked.place, wp.vec2i)
     pattern.order = flat(np.concatenate(ranked.order), wp.int32)
-    # `ranked.first` counts from the first rank of the finest squares; they have the last POINTS ranks of `order`
+    # `order` lists the ranks of the windows of all sizes, the smallest windows last: each point is in one of these, so
+    # they have the last POINTS ranks. `ranked.first[FINEST]` counts from there.
     pattern.first = flat((ranked.length - POINTS + ranked.first[FINEST]).astype(np.int32), wp.int32)
     return pattern, tiles
 

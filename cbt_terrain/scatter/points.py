@@ -104,7 +104,7 @@ def _points(
     """Choose the candidates in the views, and fill the history's arrays with their points.
 
     Two kernels run: `choose` lists the chosen candidates of each run, and `fill_points` writes them after the counts
-    are known. Raises TerrainError for more than `request.max_points`.
+    are known. Raises TerrainError for more points than `request.max_points`, a limit and its name.
     """
     scratch = history.scratch
     seen, pattern, scatter = _pack_views(request, views, ground), ground.pattern, request.scatter
@@ -132,7 +132,7 @@ def _points(
 def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGround) -> Views:
     """Return the views as kernels read them: frusta in the terrain's space, widened by the scatter's margins.
 
-    Also the horizon that hides points, and the square of the distance in metres up to which density is full.
+    They have the horizon that hides points, too, and the square of the distance in metres up to which density is full.
     """
     scatter, horizon, packed, local = request.scatter, request.horizon, Views(), []
     placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The squares of the plan whose points views may show, and the number of ranks of each.
+"""The squares of the plan whose points views may show, and the number of points of each.
 
-It walks a quadtree over the plan: in its middle are tiles, above them squares of 2 x 2 tiles and so on, below them the
-parts of tiles. A square is not divided if it needs few points, or if its density is about constant. From a tile down, a
-square shows a window of the one set of ranked points in tile.py.
+`squares_in_view` walks a quadtree over the plan: in its middle are tiles, above them squares of 2 x 2 tiles and so on,
+below them the parts of tiles. A square is not divided if it needs few points, or if its density is about constant. From
+a tile down, a square shows a window, a part of the one set of ranked points that all tiles repeat (tile.py). A point's
+rank is its number in the order in which the points of a tile appear as the density grows.
 """
 
 from dataclasses import dataclass
@@ -72,8 +73,9 @@ def squares_in_view(
 ) -> Squares:
     """Return the squares of the plan that views may show, for tiles of `side` metres.
 
-    The south-western corner of tile (0, 0) is at `west`, `south`. max_density: of the points, 0 .. 1, as a fraction of
-    those of a tile. Raises TerrainError for more than MAX_CANDIDATES points.
+    The south-western corner of tile (0, 0) is at `west`, `south`. seed: selects each tile's shift of the pattern.
+    max_density: of the points, 0 .. 1, as a fraction of those of a tile. Raises TerrainError for more than
+    MAX_CANDIDATES points.
     """
     _, _, east, north = field.lattice.rectangle()
     tiles = max(1.0, (east - west) / side, (north - south) / side)
@@ -90,6 +92,7 @@ def squares_in_view(
         limit = high * max_density * (float(GROWING) * (1 + 1e-6))
         ranks = np.minimum(np.ceil(limit * POINTS - 0.5), POINTS).astype(np.int64)  # those below the limit
         divided = ranks > 0  # squares without points are dropped
+        # From a tile down, a square is final if it has few points, an even density or the smallest size.
         if halvings >= 0:
             depth = np.full(len(numbers), halvings, np.int32)
             _, windows = Squares(depth, numbers, ranks, divided).of_tile(seed)

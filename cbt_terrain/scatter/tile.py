@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tile of a scatter: one progressive blue-noise set on a torus, listed by windows.
 
-Every tile of the plan shows it with a random shift, so that nothing repeats, whatever the density. A square of a tile
-is a window of the set, which may wrap around.
+A point's rank is its number in the order in which points appear as the density grows. Every tile of the plan shows the
+set with a random shift, so that nothing repeats, whatever the density. A square of a tile therefore shows a part of the
+set that may wrap around: a window. For each halving of a tile's side there is a fixed number of windows, and for each
+window the list of its points' ranks.
 """
 
 from dataclasses import dataclass
@@ -45,9 +47,10 @@ class Tile:
         return sum(map(len, self.order))
 
     def windows(self, halvings: np.ndarray, square: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Return the windows of squares (int [n, 2]: column and row) in tiles with these shifts, int64 [n].
+        """Return the number of the window that each square shows, int64 [n].
 
-        halvings: int [n], how many times a tile's side is halved to that of the square.
+        halvings: int [n], how many times a tile's side is halved to that of the square. square: int [n, 2], its column
+        and row in the tile. shift: int [n, 2], that of the pattern in the tile, in sides / SHIFTS.
         """
         starts = STARTS[halvings][:, None]
         # In steps from one window's start to the next: the square's corner in the tile, less the shift of the pattern.
@@ -84,8 +87,9 @@ def tile() -> Tile:
     launch.once(kernels.best_candidates, [POINTS, flat(near, wp.int32), shared(place, wp.vec2i)], step="scatter tile")
     order, first, keys = [], [], []
     for halvings, starts in enumerate(STARTS.tolist()):
-        # Each point is in several windows: those that start up to a window's side before it. column, row: of these
-        # starts, [POINTS, starts of a window's side]; window: row * starts + column.
+        # starts: window positions along a side. Each point is in several windows: those that start up to a window's
+        # side before it. column, row: of these starts, [POINTS, starts of a window's side]; window: row * starts +
+        # column.
         column, row = (place[:, :, None] * starts // UNITS - np.arange(starts >> halvings)).transpose(1, 0, 2) % starts
         window = (row[:, :, None] * starts + column[:, None, :]).reshape(-1).astype(np.int64)
         keys.append(np.sort(_rank_key(window, np.repeat(np.arange(POINTS), (starts >> halvings) ** 2))))

@@ -24,7 +24,7 @@ SLOTS = 64  # words of a page
 FIRST_PAGES = 2  # page 0 stays empty, page 1 holds the highest word
 FEW_CHANGED = 500  # words that one thread sums sooner than several launches
 ARRAYS = {"words": wp.uint64, "stored": wp.uint64, "counts": wp.int32, "pages": wp.int32, "changed": wp.int32}
-DECODE_COST = 5.0  # of a leaf, in lookups: see `launch.spread`
+DECODE_COST = 5.0  # of a leaf, in array lookups (15 ns); small jobs stay on one thread
 
 
 class LeafPart(NamedTuple):
@@ -177,7 +177,7 @@ class ConcurrentBinaryTree:
             if part.num_same:
                 bind(run, same=part.same)
             start = part.end
-        estimated_pages = sum(int(part.count) for part in parts) // SLOTS
+        estimated_pages = sum(int(part.count) for part in parts) // SLOTS  # fewer words than leaves
         if estimated_pages > self.bits.num_pages:
             self._resize(max(estimated_pages, 2 * self.bits.num_pages))
         self._state[bitfield.DIFFERS] = 0

@@ -59,16 +59,16 @@ def localise(
     largest, smallest = slants_of(view, placement, criterion)
     # Rows of 0 mean that one slant, the largest, serves the whole frame.
     slants = slant_rows(view, placement) / largest if largest > smallest else np.zeros((2, 2))
-    numbers = {  # the fields of LocalView, where each is described
+    numbers = {  # the fields of LocalView, squares where a name ends in 2
         "eye": eye,
-        "weight": (sigma * stretch) ** 2 * (1 - 1e-12),
+        "weight": (sigma * stretch) ** 2 * (1 - 1e-12),  # from squared metres along an axis to camera space
         "unsure": off,
-        "depth": [*-linear[2], -shift[2] - abs(linear[2, 2]) * off],
-        "pixel2": 1 / (pixels * pixels * stretch[2] * stretch[2]),
-        "slant_x": slants[0],
+        "depth": [*-linear[2], -shift[2] - abs(linear[2, 2]) * off],  # times (x, y, z, 1): depth, less that of `off`
+        "pixel2": 1 / (pixels * pixels * stretch[2] * stretch[2]),  # metres of height that a pixel covers at depth 1
+        "slant_x": slants[0],  # times (x, y) from the eye: slant times depth, as a fraction of the largest slant
         "slant_y": slants[1],
-        "max_gain2": (largest / smallest) * (largest / smallest),
-        "cosine2": 1 / (secant_of(view) * secant_of(view)),
+        "max_gain2": (largest / smallest) * (largest / smallest),  # every slant is at least the largest / gain
+        "cosine2": 1 / (secant_of(view) * secant_of(view)),  # smallest depth over distance in the frame
         "near2": near * near,
         "off_screen2": factor * factor,
         "fade": fade,
@@ -90,8 +90,9 @@ def localise(
 def _off_screen(view: View, criterion: Criterion, planes: np.ndarray, box: np.ndarray) -> tuple[float, float, float]:
     """Return the factor by which ground outside the frustum may be coarser, and `fade` and `fringe` of `LocalView`.
 
-    With geomorphing the factor grows gradually, over the fringe; else both are 0. planes: of the frustum, in terrain
-    space, float64 [n, 4]. box: the terrain's bounding box, float64 [2, 3].
+    With geomorphing the factor grows gradually, as (1 + fade * t)^4 with t = 0 .. 1 over the fringe, a width beyond the
+    frame in metres, or of a perspective a fraction of the depth; else fade and fringe are 0. planes: of the frustum, in
+    terrain space, float64 [n, 4]. box: the terrain's bounding box, float64 [2, 3].
     """
     narrow = _narrowness(view)  # below 1 for a telephoto lens: off screen, ground is as coarse as with a normal one
     factor = min(1 + (criterion.off_screen_factor - 1) / narrow, LARGEST)
@@ -100,7 +101,7 @@ def _off_screen(view: View, criterion: Criterion, planes: np.ndarray, box: np.nd
     if criterion.morph_until <= 1:
         return factor, 0.0, 0.0
     fringe = FRINGE * (min(b - a for a, b in view.bounds()) / 2 if view.kind == ORTHOGRAPHIC else narrow)
-    return factor, math.sqrt(math.sqrt(factor)) - 1, fringe  # the kernels use (1 + fade)^4
+    return factor, math.sqrt(math.sqrt(factor)) - 1, fringe
 
 
 def eye_of(to_camera: np.ndarray) -> np.ndarray:

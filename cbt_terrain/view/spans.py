@@ -4,6 +4,9 @@
 The kernels divide metres of height, or of an edge, by the metres that a pixel spans where it is finest. The size on
 screen also depends on the slant at which the height is seen, and on the angle of the ray to the view's axis.
 
+`placement` is float64 [4, 4], from the terrain's space to the world. The unit of lengths in camera space is the length
+that a metre of the terrain's height has there.
+
 "Whole" is the size, in spans, of an error that reaches from the surface to the eye; an error of s spans takes the
 fraction s / whole of that way. "Secant" is distance over depth.
 """
@@ -80,8 +83,10 @@ class Spans:
 def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray, plan: PlanUnits) -> Spans:
     """Return the spans (pixel footprints in the kernels' measure) of views of a terrain at `placement`.
 
-    Without limits of edges or areas each view has one scale: its largest slant times its widening. With them
-    all views share one for edges. plan: lengths on the ground that these limits depend on.
+    A view's scale is the largest length that a metre of height may have on screen, metres across the view at a depth of
+    1 m: its largest slant times its widening, the factor by which an error towards the camera looks larger. With limits
+    of edges or areas scales are raised until all views have the same one for edges. plan: lengths on the ground that
+    these limits depend on.
     """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]
@@ -106,12 +111,10 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 def slants_of(view: View, placement: np.ndarray, criterion: Criterion) -> tuple[float, float]:
     """Return the largest and the smallest slant that counts in the frame.
 
-    They are equal if one slant serves the whole frame.
-
     A slant is the length of a metre of height as a perspective sees it at a depth of 1 m: metres across the view. In a
-    panorama it is seen at a distance of 1 m: metres across the ray.
-
-    No slant counts as less than the shading floor, since shading and shadows show an error too.
+    panorama it is seen at a distance of 1 m: metres across the ray. It is 0 for a ray straight down, along which
+    heights are not seen. No slant counts as less than the shading floor, since shading and shadows show an error too.
+    Both are equal if one slant serves the whole frame.
     """
     if view.kind == PANORAMIC:
         largest, smallest = 1.0, 0.0
@@ -167,8 +170,8 @@ def _axis_scales(view: View) -> tuple[float, float]:
 def whole_of(view: View, placement: np.ndarray, slant: float) -> float:
     """Return the size, in spans, of an error that reaches the eye; larger errors have no bound on screen.
 
-    In a perspective it is as long as the depth, measured along the view, and seen at the smallest slant; in a panorama
-    it is as long as the distance, and seen at that slant. slant: the smallest that counts in the frame.
+    In a perspective its component along the view is as long as the depth; in a panorama it is itself as long as the
+    distance. It is seen at `slant`, the smallest that counts in the frame.
     """
     if view.kind == PANORAMIC:
         return view.pixels_per_unit * slant
@@ -206,6 +209,7 @@ def widening(view: View, whole: float, error_px: float) -> float:
         return 1 + ROUNDING
     if view.kind == PANORAMIC:
         # Solve `as_seen` for the fraction of the distance, spans / whole, of an error that is seen at this angle.
+        # Slant and steep are the sine and cosine of the angle between the line of sight and the vertical.
         slant, angle = whole / view.pixels_per_unit, error_px / view.pixels_per_unit
         steep = math.sqrt(max(0.0, 1 - slant * slant))
         sine, cosine = (round_last_bits(f(min(angle, math.pi / 2))) for f in (math.sin, math.cos))
@@ -225,8 +229,7 @@ def secant_of(view: View) -> float:
 def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) -> tuple[float, float]:
     """Return the squared diagonal and squared side of a lattice unit, the longer ones of two, in camera space.
 
-    They are in metres of the terrain's height, as all lengths of `LocalView`. steps: metres of a lattice unit in x and
-    y.
+    steps: metres of a lattice unit in x and y.
     """
     linear = _to_camera(view, placement)
     east, north = linear[:, 0] * steps[0], linear[:, 1] * steps[1]
@@ -235,9 +238,9 @@ def unit_lengths(view: View, placement: np.ndarray, steps: tuple[float, float]) 
 
 
 def largest_offset(view: View, placement: np.ndarray, offsets: tuple[float, float, float]) -> float:
-    """Return the largest length in camera space of a shift by at most `offsets` metres along each axis.
+    """Bound the length in camera space of a shift by at most `offsets` metres along x, y and z of the terrain.
 
-    The unit is a metre of the terrain's height.
+    The bound is the sum of the lengths of the three shifts.
     """
     return add_up(far * off for far, off in zip(lengths(_to_camera(view, placement)).tolist(), offsets, strict=True))
 

@@ -79,6 +79,8 @@ class View:
 
     def bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the frame's left and right, bottom and top: tangents from the view axis (perspective) or metres."""
+        # Device coordinates are (scale x + m z) / -z in a perspective: an end e is the tangent (e + m) / scale. In an
+        # orthographic view they are scale x + m, and an end is (e - m) / scale.
         shift_column = 2 if self.kind == PERSPECTIVE else 3
         sign = 1.0 if self.kind == PERSPECTIVE else -1.0
         projection = self.projection

@@ -66,8 +66,8 @@ def interpolated(field: HeightField, name: str) -> HeightField:
 def bicubic(field: HeightField) -> HeightField:
     """Return the bicubic surface through the samples of a bilinear field, cached in its store, if it has one.
 
-    field: without detail. Its finer tiles become those of finer_bicubic.py. Raises TerrainError for a sample that is
-    not finite.
+    field: without detail. Tiles with finer heights, if it has some, are added to the result. Raises TerrainError for a
+    sample that is not finite.
     """
     arrays = derived_arrays.derive_cached(
         field.raster, arrays_of(field.lattice), lambda arrays: build(field, arrays), _are_valid
@@ -118,19 +118,20 @@ def build(field: HeightField, arrays: dict[str, np.ndarray], threads: int | None
     """
     threads = threads or launch.default_threads()
     field.raster.check_samples()
-    numbers = _numbers(field, threads)
+    numbers = _numbers(field, threads)  # base and step of the stored ranges, extremes of heights and slopes
     _fill_ranges(field, numbers[0], numbers[1], arrays["ranges_c"], threads)
     arrays["numbers_c"][:] = [*numbers, *bicubic_errors.fill_errors(field, arrays["error_c"], threads)]
 
 
 def _numbers(field: HeightField, threads: int) -> list[float]:
-    """Return range base and step, and bounds of heights (lowest, highest, metres) and of slopes (along x, along y).
+    """Return the first six of `numbers_c`: range base and step, lowest and highest height, largest slope along x and y.
 
-    The bounds come from control heights; those of slopes are rounded up.
+    A stored height n of a range stands for base + n step metres. Heights (metres) and slopes are bounds from control
+    heights; those of slopes are rounded up.
     """
     lattice = field.lattice
     rows = lattice.cells_y
-    extents = np.zeros((rows, 4))
+    extents = np.zeros((rows, 4))  # by row of cells: lowest and highest height, largest climb along x and y
     inputs = [
         codes.pack_samples(field.samples, field.steps),
         wp.array(extents, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
@@ -142,7 +143,7 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
 
 
 def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarray, threads: int) -> None:
-    """Compute the ranges of heights of the patches, and above them those of all patches that they touch.
+    """Compute the ranges of heights of all patches (cells), and for coarser diamonds of the patches that each touches.
 
     base, step: a range is two 16-bit numbers n that stand for base + n step metres. ranges: uint16 [n, 2], zeroed. A
     raster with a shorter side of one or two cells has ranges of patches alone.
@@ -154,6 +155,7 @@ def _fill_ranges(field: HeightField, base: float, step: float, ranges: np.ndarra
     bicubic_errors.launch_step(kernels.patch_ranges, rows, inputs, threads, 10.0 * columns)
     if lattice.range_depth:
         finest = ranges_at(lattice, lattice.range_depth)
+        # First the finest diamonds that are stored, on sides of cells (one more row than of cells), then the others.
         inputs = [columns, rows, cells, finest, out]
         bicubic_errors.launch_step(range_kernels.patches_around, finest.rows + 1, inputs, threads, 4.0 * columns)
         hierarchy.unite_ranges(lattice, ranges, threads)

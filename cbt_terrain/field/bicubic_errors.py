@@ -11,6 +11,12 @@ curvature of the tile is below a bound of all curvatures times 2^-n, cells n ste
 planar parts fails this test; then its window includes all cells for which 2^-n times the bound is not 0 in float32.
 
 `off` is the largest distance of the bicubic surface from the bilinear one.
+
+Codes have a table of metres for each *group*, in this order (`codes.parts`): groups of four depths of diamonds, from
+fine to coarse (0 to lattice.groups - 1), then the cells (lattice.groups), then the curvatures (lattice.groups + 1).
+A `Depth` is the layout of the diamonds of one depth in an array. Diamonds are cells (`sides` 0) or sides of cells
+(`sides` 1, with one more row and column); (x, y) has the entry at vertex (first + x step, first + y step) of an image
+in pages of PAGE x PAGE entries, which begins at the entry `base`.
 """
 
 from collections.abc import Iterator
@@ -70,7 +76,7 @@ class _Window:
 
 
 def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
-    """Fill the codes of errors and curvatures; return the exponents of the tables, in the order of `codes.parts`.
+    """Fill the codes of errors and curvatures; return the exponents of their tables, by group.
 
     A table of codes reaches 2^exponent metres. field: the bilinear one. out: uint8 [nodes + cells], zeroed.
     """
@@ -78,9 +84,9 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
     bases, parts = lattice.layout()[0], codes.parts(lattice, len(out))
     first = int(bases[min(FIRST_WHOLE, lattice.groups)])
     # Errors, and distances to the bilinear surface, at the depths that no tile computes: from entry `first` of the
-    # error hierarchy on.
+    # error hierarchy on, where the group FIRST_WHOLE begins.
     errors, off = (np.zeros(max(lattice.cell_base - first, 1), np.float32) for _ in range(2))
-    largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)
+    largest, exponents = [0.0] * len(parts), [MIN_EXPONENT] * len(parts)  # by group, of the tiles so far
 
     def raise_to(by_group: dict[int, float], unused: int = MIN_EXPONENT) -> None:
         """Raise the exponents for further errors, and translate the codes so far.
@@ -91,6 +97,7 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
         for group, error in by_group.items():
             largest[group] = max(largest[group], error)
         exponents_of_groups = [codes.exponent_of(error) if error > 0.0 else unused for error in largest]
+        # `nested`: no coarser group has a smaller exponent.
         for group, (before, after) in enumerate(
             zip(exponents, codes.nested(lattice, exponents_of_groups), strict=True)
         ):
@@ -99,18 +106,21 @@ def fill_errors(field: HeightField, out: np.ndarray, threads: int) -> list[int]:
                 codes.translate(out[parts[group]], translated, out[parts[group]])
             exponents[group] = after
 
+    # The cells and the finer depths, tile by tile.
     for tile in _tiles(lattice):
         window = _compute_tile(field, tile, threads)
         raise_to(_largest(window))
         _encode(window, codes.tables(exponents), out, threads)
-        if len(window.depths) > TILE_DEPTHS:
+        if len(window.depths) > TILE_DEPTHS:  # keep the coarsest depth of the tile: the coarser ones depend on it
             whole = _layout_from(lattice, TILE_DEPTHS, first)
             for values, target in ((window.errors, errors), (window.off, off)):
                 _launch_rows(kernels.keep_rows, window, TILE_DEPTHS, whole, values, [flat(target, wp.float32)], threads)
         del window  # before the next one takes its memory
+    # The coarser depths of the whole raster, each from the one below it; at the end their codes.
     for bisections in range(TILE_DEPTHS + 1, lattice.cell_depth):
         below, above = _layout_from(lattice, bisections - 1, first), _layout_from(lattice, bisections, first)
         _add_errors(field, bisections, below, above, wp.vec2i(0, 0), off, errors, threads)
+    # The largest error of each coarser group.
     raise_to(
         {g: float(errors[p.start - first : p.stop - first].max()) for g, p in _whole_groups(lattice, parts)}, unused=0
     )
@@ -134,13 +144,15 @@ def _compute_tile(field: HeightField, tile: Box, threads: int) -> _Window:
 
     The second window, which has all cells that can count, is used only if cells outside the first one may count.
     """
-    # A bound of all curvatures, metres. One that is n cells away counts 2^-n of it; `far` cells away this is 0.
+    # A bound of all curvatures, metres: a multiple of the range of heights. One that is n cells away counts 2^-n of it;
+    # `far` cells away, a multiple of ALIGNED, this is 0 in float32, since 2^-SMALLEST is.
     bound = STEEPEST * (float(field.max_height) - float(field.min_height))
     far = ALIGNED * (1 + -(-(SMALLEST + int(np.ceil(np.log2(max(bound, 1.0))))) // ALIGNED))
     for around in (2 * ALIGNED, far):
         window = _make_window(field.lattice, tile, around)
         cells = window.depths[0]
         (west, east), (south, north) = window.box
+        # Fill the three arrays for the window's cells, each from its own patch.
         inputs = [codes.pack_samples(field.samples, field.steps), wp.vec2i(west, south), east - west, cells]
         inputs += [flat(array, wp.float32) for array in (window.off, window.errors, window.curvatures)]
         launch_step(patches.patch_errors, north - south, inputs, threads, 20.0 * (east - west))
@@ -169,23 +181,25 @@ def _make_window(lattice: Lattice, tile: Box, around: int) -> _Window:
     depths, base = [], 0
     for bisections in range(min(TILE_DEPTHS, lattice.cell_depth - 1) + 1):
         whole, shift, depth = stored_at(lattice, lattice.cell_depth - bisections), bisections // 2, Depth()
-        # One more row and column than fit, where the raster has them: diamonds beyond its border are stored, too.
-        counts = [-(-(end - first) >> shift) + 1 for first, end in box]
-        depth.columns = min(counts[0], whole.columns - (box[0][0] >> shift))
-        depth.rows = min(counts[1], whole.rows - (box[1][0] >> shift))
+        # The layout is that of the raster, cut to the window, and with an image for this depth alone. It has the cells
+        # of 2^shift raster cells a side that cover the window, and one more row and column, as far as the raster's
+        # layout has them: that also holds diamonds beyond the raster's border.
+        max_counts = [-(-(end - first) >> shift) + 1 for first, end in box]
+        depth.columns = min(max_counts[0], whole.columns - (box[0][0] >> shift))
+        depth.rows = min(max_counts[1], whole.rows - (box[1][0] >> shift))
         depth.sides, depth.first, depth.step, depth.base = whole.sides, 0, 1, base
         depth.pages = -(-(depth.columns + depth.sides) // PAGE)
         base += depth.pages * -(-(depth.rows + depth.sides) // PAGE) * PAGE * PAGE
         depths.append(depth)
-    cell_entries = depths[1].base if len(depths) > 1 else base
+    cell_entries = depths[1].base if len(depths) > 1 else base  # the cells' image is the first one
     errors, off = np.zeros(base, np.float32), np.zeros(base, np.float32)
     return _Window(lattice, tile, box, depths, errors, off, np.zeros(cell_entries, np.float32))
 
 
 def _smallest(window: _Window) -> np.float32:
-    """Return the smallest curvature, metres, of the tile and ALIGNED cells around it, on which its diamonds depend.
+    """Return the smallest curvature, metres, of the cells on which the tile's diamonds depend; to test the window.
 
-    Infinity if the window has all cells of the raster.
+    These are its own and ALIGNED more on each side. Infinity if the window has all cells of the raster.
     """
     if window.box == ((0, window.lattice.cells_x), (0, window.lattice.cells_y)):
         return np.float32(np.inf)
@@ -197,7 +211,7 @@ def _smallest(window: _Window) -> np.float32:
 
 
 def _largest(window: _Window) -> dict[int, float]:
-    """Return the largest error of a window, metres, for each group that tiles encode, for the cells and the curvatures.
+    """Return the largest errors of a window, metres, by the numbers of the groups that tiles encode.
 
     Diamonds at its sides lack the errors outside, so none of the found errors is larger than the raster's.
     """
@@ -212,9 +226,11 @@ def _largest(window: _Window) -> dict[int, float]:
 
 
 def _encode(window: _Window, table: np.ndarray, out: np.ndarray, threads: int) -> None:
-    """Write the codes of the tile's curvatures, cells and the diamonds of groups 0 and 1 to `out`, those of the raster.
+    """Write the tile's results as codes into `out`, the codes of the whole raster (uint8).
 
-    table: float32 [parts, 256] metres, in the order of `codes.parts`.
+    They are the errors of its cells and of the diamonds less than TILE_DEPTHS bisections above them (`fill_errors`
+    encodes that depth with the coarser ones), and its curvatures. table: float32 [groups, 256] metres, for each group
+    what a code stands for.
     """
     lattice, packed_table = window.lattice, flat(table, wp.float32)
     for bisections in range(min(TILE_DEPTHS, len(window.depths))):
@@ -242,15 +258,16 @@ def _launch_rows(
     whole: layout of this depth in the raster's array that the kernel writes. values: array of the window that it
     reads. more: its other arguments, the written array last.
     """
-    shift, part, lattice = bisections // 2, window.depths[bisections], window.lattice
-    axes = (lattice.cells_x, part.columns), (lattice.cells_y, part.rows)
-    first, counts = [], []
+    shift, in_window, lattice = bisections // 2, window.depths[bisections], window.lattice
+    axes = (lattice.cells_x, in_window.columns), (lattice.cells_y, in_window.rows)
+    first, counts = [], []  # the tile's first diamond in the window, and their number, along x and y
     for (low, high), (window_start, _), (cells, count) in zip(window.tile, window.box, axes, strict=True):
-        is_last_tile = high == cells
-        end = count + part.sides if is_last_tile else (high - window_start) >> shift
+        is_last_tile = high == cells  # it also has the sides on the raster's border
+        end = count + in_window.sides if is_last_tile else (high - window_start) >> shift
         first.append((low - window_start) >> shift)
         counts.append(end - first[-1])
-    inputs = [wp.vec2i(*first), counts[0], part, whole, window.corner(bisections), flat(values, wp.float32), *more]
+    corner = window.corner(bisections)  # the window's first diamond in the raster
+    inputs = [wp.vec2i(*first), counts[0], in_window, whole, corner, flat(values, wp.float32), *more]
     launch_step(kernel, counts[1], inputs, threads, 2.0 * counts[0])
 
 
@@ -266,8 +283,10 @@ def _add_errors(
 ) -> None:
     """Compute `off` and `errors` of the depth `bisections` above the cells from those of the depth below it.
 
-    off: largest distances of the bicubic surface from the bilinear one, metres. below, above: layouts of both depths in
-    `off` and `errors`. corner: the first diamond of `above` in the raster.
+    A diamond's error is its bilinear error, from the codes of `field`, plus `off`, and never less than its children's.
+    Its `off`, the largest distance of the bicubic surface from the bilinear one, is the largest of its children. Both
+    in metres. below, above: layouts of both depths in `off` and `errors`. corner: the first diamond of `above` in the
+    raster.
     """
     depth = field.lattice.cell_depth - bisections
     inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]
@@ -291,5 +310,5 @@ def _whole_groups(lattice: Lattice, parts: list[slice]) -> list[tuple[int, slice
 
 
 def launch_step(kernel: wp.Kernel, count: int, inputs: list, threads: int, cost: float = 1.0) -> None:
-    """Launch a kernel over `count` items as the step "bicubic hierarchy". cost: nanoseconds an item, over a base."""
+    """Launch a kernel over `count` items as the step "bicubic hierarchy". cost: of an item, in units of about 15 ns."""
     launch.spread(kernel, count, inputs, step="bicubic hierarchy", threads=threads, cost=cost)

@@ -47,9 +47,9 @@ def halve(level: np.ndarray, reduce: np.ufunc) -> np.ndarray:
 
 
 def halvings(finest: np.ndarray, reduce: np.ufunc) -> list[np.ndarray]:
-    """Return `finest`, [rows, columns, ...], and the levels above it, each `halve` of the one below.
+    """Return `finest`, [rows, columns, ...], and the levels above it, down to one value (1 x 1).
 
-    reduce: np.maximum or np.minimum.
+    Each level has the maximum or minimum of each 2 x 2 values of the one before. reduce: np.maximum or np.minimum.
     """
     levels = [finest]
     while levels[-1].shape[:2] != (1, 1):

@@ -98,7 +98,7 @@ def build(
     if missing == samples.size:
         raise no_heights(name)
     valid = measured = None
-    if missing and holes:
+    if missing and holes:  # errors do not count where samples are missing, although these are filled below
         valid = allocate("valid", samples.shape, np.dtype(np.uint8))
         np.isfinite(samples, out=valid.view(bool))
         if not holes_leave_ground(valid.view(bool)):
@@ -108,15 +108,17 @@ def build(
         cleaning.fill_missing(samples, threads)
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
-    climb_x, climb_y = hierarchy.climbs(samples)
+    climb_x, climb_y = hierarchy.climbs(samples)  # largest differences between neighbours, for slopes
+    # The heights below each diamond, as 16-bit codes: base + code * step metres.
     base, step = hierarchy.range_scale(low, high)
     ranges = allocate("ranges", (lattice.range_count, 2), np.dtype(np.uint16))
     hierarchy.build_ranges(samples, lattice, base, step, ranges, threads)
     on_progress(0.4)
     errors = allocate("errors", (lattice.node_count,), np.dtype(np.float32))
     hierarchy.build_errors(samples, lattice, errors, threads, lambda done: on_progress(0.4 + 0.58 * done), measured)
-    if valid is not None:
+    if valid is not None:  # diamonds on the border of a hole get larger errors, so that the border is refined
         refine_borders(valid, lattice, errors, threads)
+    # The stored errors are codes of 8 bits; each group of diamonds has a table that reaches 2^exponent metres.
     error = allocate("error", (lattice.node_count,), np.dtype(np.uint8))
     exponents = codes.encode(lattice, errors, error, threads)
     return HeightField(

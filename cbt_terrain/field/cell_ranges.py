@@ -31,21 +31,23 @@ def rectangle_ranges(
     """
     lattice = field.lattice
     smallest = min(high - low for low, high in (*columns, *rows))
+    # log2 of the side of the cells to read: at most FRACTION of the smallest rectangle's.
     bits = max(int(np.floor(np.log2(max(smallest * FRACTION, 1.0)))), FINEST_BITS)
     if bits > lattice.levels:
         return np.broadcast_to((field.min_height, field.max_height), (len(rows), len(columns), 2)).copy()
-    ranges = _all_stored(field, bits).astype(np.float64)
+    ranges = _all_stored(field, bits).astype(np.float64)  # codes of the cells' ranges, [rows, columns, 2]
     for axis, sides in ((0, rows), (1, columns)):
         in_cells = np.array(sides) / 2.0**bits  # below, 1e-9: rounding must not add a cell
         first = np.clip(np.floor(in_cells[:, 0] + 1e-9).astype(int), 0, ranges.shape[axis] - 1)
         end = np.clip(np.ceil(in_cells[:, 1] - 1e-9).astype(int), first + 1, ranges.shape[axis])
         # `reduceat` also reduces from each end to the next first cell: every other result is used.
         pairs = np.stack([first, end], axis=1).ravel()
-        padded = np.concatenate([ranges, np.take(ranges, [-1], axis=axis)], axis=axis)  # an end may be the last cell's
+        # One more cell, because an end may be the number of cells, and `reduceat` needs indices inside the array.
+        padded = np.concatenate([ranges, np.take(ranges, [-1], axis=axis)], axis=axis)
         low = np.minimum.reduceat(padded[..., 0], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         high = np.maximum.reduceat(padded[..., 1], pairs, axis=axis).take(range(0, len(pairs), 2), axis=axis)
         ranges = np.stack([low, high], axis=-1)
-    return _heights(field, ranges)
+    return _heights(field, ranges)  # codes to metres
 
 
 def cell_ranges(field: HeightField, bits: int, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -78,6 +80,8 @@ def _stored(field: HeightField, bits: int, columns: np.ndarray, rows: np.ndarray
     columns, rows: integers that broadcast to [...]. A range is that of the diamond in the cell's centre, which encloses
     its box.
     """
+    # In a root square of 2^levels samples a side, odd depths 2q + 1 hold the centres of cells of 2^(levels - q).
     depth = ranges_at(field.lattice, 2 * (field.lattice.levels - bits) + 1)
+    # A cell's diamond is stored at the vertex (first + column * step, first + row * step) of an image in pages.
     x, y = (depth.first + places.astype(np.int64) * depth.step for places in (columns, rows))
     return field.ranges[depth.base + tile_index(x, y, depth.pages)]

@@ -25,10 +25,10 @@ def clean_rows(rows: np.ndarray, name: str = "The raster") -> tuple[np.ndarray, 
     float32. name: the raster's, in the error.
     """
     with np.errstate(over="ignore"):
-        heights = rows.astype(np.float32) + np.float32(0.0)
+        heights = rows.astype(np.float32) + np.float32(0.0)  # -0 becomes 0
     missing = ~np.isfinite(heights)
     count = int(np.count_nonzero(missing))
-    if count:
+    if count:  # a finite number that is infinite in float32 is an error
         _check_heights(rows[missing], name)
         heights[missing] = np.nan
     if count < heights.size and largest_of(heights) > LARGEST_HEIGHT:
@@ -72,35 +72,41 @@ def fill_rows(
     opened: maps the samples, of any type, for writing; it is called for each block of rows with missing ones.
     missing_in: returns, for rows, which samples are missing, bool; it is called three times for all rows, never after
     their samples are filled. shape: rows and columns of the raster.
+
+    A chunk of rows needs, for each column, the nearest valid rows below and above it. Those below are known from the
+    chunks before. Those above come from a first pass in descending order, which keeps them only at the ends of groups
+    of chunks; inside a group they are found again. So memory holds about 2 sqrt(chunks) lines, not one for each chunk.
     """
     height, width = shape
     chunks = [slice(first, min(first + FILLED_ROWS, height)) for first in range(0, height, FILLED_ROWS)]
-    length = math.isqrt(len(chunks)) + 1  # chunks of a group: rows are held for all groups, and for one group's chunks
+    length = math.isqrt(len(chunks)) + 1  # chunks of a group
     groups = [chunks[first : first + length] for first in range(0, len(chunks), length)]
-    above, ends = np.full(width, -1, np.int32), []  # ends: nearest valid rows from the end of each group on
+    # `above`, `below`: for each column the number of the nearest row with a valid sample, -1 if there is none.
+    above, ends = np.full(width, -1, np.int32), []  # ends: `above` at the end of each group
     for group in reversed(groups):
         ends.append(above)
         above = _rows_above(group, missing_in, above)[0]
     below = np.full(width, -1, np.int32)
     for group in groups:
-        nearest_above = _rows_above(group, missing_in, ends.pop())
+        nearest_above = _rows_above(group, missing_in, ends.pop())  # at the start of each chunk and the group's end
         for number, rows in enumerate(group):
             missing = missing_in(rows)
-            if missing.any():
+            if missing.any():  # column: that of the sample nearest to each sample; row: its row, by row and column
                 row, column = _nearest(missing, rows.start, below, nearest_above[number + 1], threads)
                 samples, (y, x) = opened(), np.nonzero(missing)
                 column = column[y, x]
                 samples[rows.start + y, x] = samples[row[y, column], column]
+            # Downwards from the chunk's last row; the old value stays where the chunk has no valid sample.
             below = _first_valid(~missing[::-1], range(rows.start, rows.stop)[::-1], below)
 
 
 def _rows_above(
     chunks: Sequence[slice], missing_in: Callable[[slice], np.ndarray], beyond: np.ndarray
 ) -> list[np.ndarray]:
-    """Return for each chunk of rows the nearest valid row of each column from its first row on, int32 [columns].
+    """Return for each chunk, by column, the number of the first row at or above its start with a valid sample.
 
-    `beyond`, which follows as the last item, has the rows from the end of the last chunk on. missing_in: as of
-    `fill_rows`. chunks: in ascending order.
+    Each item is int32 [columns], -1 for none. The last, additional one is `beyond`: the same from the end of the last
+    chunk on. missing_in: returns, for rows, which samples are missing, bool. chunks: slices of rows, ascending.
     """
     above = [beyond]
     for rows in reversed(chunks):
@@ -126,7 +132,8 @@ def _nearest(
 
     Both are int32 like `missing`; the nearest valid sample of [y, x] is in column c = column[y, x], row nearest[y, c].
     Columns at valid samples are undefined. below, above: nearest valid rows outside these rows, -1 for none. Row
-    numbers are those of the raster.
+    numbers are those of the raster. This is the exact distance transform of Felzenszwalb and Huttenlocher (2012): each
+    column's nearest row first, then in each row the lower envelope of the columns' parabolas of squared distances.
     """
     height, width = missing.shape
     nearest, column = np.empty((2, height, width), np.int32)
@@ -136,8 +143,8 @@ def _nearest(
     cost, blocks = 0.5 * COLUMN_BLOCK * height, -(-width // COLUMN_BLOCK)
     launch.spread(fill_kernels.nearest_in_columns, blocks, inputs, step="fill no-data", threads=threads, cost=cost)
     jobs = []
-    for begin, end in launch.ranges(height, threads):
-        # Memory for the lower envelope of parabolas.
+    for begin, end in launch.ranges(height, threads):  # a range of rows for each thread
+        # Memory for the lower envelope: columns of its parabolas, and where each begins.
         apex = wp.empty(width, dtype=wp.int32, device=launch.DEVICE)
         start = wp.empty(width, dtype=wp.float64, device=launch.DEVICE)
         jobs.append([mask, width, first, begin, end, nearest_array, apex, start, flat(column, wp.int32)])

@@ -40,7 +40,7 @@ DECODED = 1 << 20  # numbers that become heights together
 def _table_shape() -> np.ndarray:
     """Return the errors that the 256 codes stand for if the largest one is 1: float32 [256], rising.
 
-    Entry 0 is 0, the others are about even steps of log2.
+    Entry 0 is 0, the others are about even steps of log2: PER_OCTAVE of them in each octave, from below.
     """
     entries = [0.0]
     for octave, count in enumerate(PER_OCTAVE):
@@ -93,10 +93,10 @@ def encode(lattice: Lattice, errors: np.ndarray, codes: np.ndarray, threads: int
 
 
 def nested(lattice: Lattice, exponents: list[int]) -> list[int]:
-    """Return the exponents, raised so that no coarser group has a smaller one, and cells at least the curvatures' - 1.
+    """Return the exponents of groups, raised so that no coarser group has a smaller one.
 
-    A group's codes reach 2^exponent metres. Errors of cells are at least half of their curvatures, if there are any.
-    exponents: each group's own, in the order of `parts`.
+    A group's codes reach 2^exponent metres. The cells' exponent is also at least that of the curvatures, if there are
+    any, minus 1, since errors of cells are at least half of them. exponents: each group's own, in the order of `parts`.
     """
     exponents, cells = list(exponents), lattice.groups
     finer = exponents[cells + 1] - 1 if len(exponents) > cells + 1 else MIN_EXPONENT
@@ -144,7 +144,7 @@ def _first_codes(values: bytes, bits: int) -> np.ndarray:
 
 
 def decode(lattice: Lattice, codes: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Return the errors that codes stand for, float32 [len(codes)] metres."""
+    """Return the errors that codes stand for, float32 [len(codes)] metres. table: metres, a row for each of `parts`."""
     errors = np.empty(len(codes), np.float32)
     for values, part in zip(table, parts(lattice, len(codes)), strict=True):
         translate(codes[part], values, errors[part])
@@ -181,7 +181,10 @@ class Steps:
         return self.scale == 1.0 and self.offset == 0.0
 
     def heights(self, numbers: np.ndarray) -> np.ndarray:
-        """Return heights, float32: the same bits as an import of floats."""
+        """Return heights, float32: the same bits as an import of floats.
+
+        Blocks of rows, of about DECODED samples each, limit the memory for float64.
+        """
         if numbers.size <= DECODED:
             return self._heights_of_block(numbers)
         heights, rows = np.empty(numbers.shape, np.float32), max(1, DECODED * len(numbers) // numbers.size)
@@ -190,7 +193,7 @@ class Steps:
         return heights
 
     def _heights_of_block(self, numbers: np.ndarray) -> np.ndarray:
-        """Return heights, float32. Between, it has float64 of each."""
+        """Return heights, float32, computed in float64."""
         if self.is_plain:  # all numbers and heights are exact in float32
             return numbers.astype(np.float32) + np.float32(self.first)
         return ((numbers.astype(np.float64) + self.first) * self.scale + self.offset).astype(np.float32)
@@ -231,6 +234,7 @@ def number(heights: np.ndarray, steps: Steps, numbers: np.ndarray) -> bool:
     for row in range(0, len(heights), ROWS):
         block = heights[row : row + ROWS]
         with np.errstate(over="ignore"):  # infinity is out of range, too
+            # Plain steps are whole metres: scale 1, offset 0.
             values = block if steps.is_plain else (block.astype(np.float64) - steps.offset) / steps.scale
             values = np.rint(values) - np.float32(steps.first)
         if not (0 <= values.min() and values.max() <= 65535):

@@ -47,7 +47,7 @@ def derive_cached(
 def derive_cached_if_large(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
     """Return arrays by name: of a raster of MIN_CACHED samples or more by `derive_cached`, of others in memory.
 
-    shapes, fill: as of `derive_cached`.
+    shapes: (shape, dtype) of each array by name. fill(arrays): fills zeroed arrays.
     """
     if raster.samples.size >= MIN_CACHED:
         return derive_cached(raster, shapes, fill)
@@ -85,12 +85,10 @@ def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays]
     if folder is None:
         return False
     partial_files.remove_abandoned(folder)
-    written = False
     try:
         with ExitStack() as files:
             parts = {name: files.enter_context(partial_files.written_beside(folder / f"{name}.npy")) for name in shapes}
             arrays = {name: store_arrays.allocate_array(parts[name], *spec) for name, spec in shapes.items()}
-            written = True
             fill(arrays)
             for name, array in arrays.items():
                 store_arrays.append_checksums(parts[name], array)
@@ -98,14 +96,15 @@ def _fill_in_store(raster: HeightRaster, shapes: Shapes, fill: Callable[[Arrays]
             arrays.clear()  # Windows renames no mapped file
     except OSError:
         return False
-    return written
+    return True
 
 
 def derived_shapes(lattice: Lattice) -> dict[str, tuple]:
     """Return shape and dtype of each array that a store caches, by name.
 
-    These can be computed again from samples and errors: errors of meshlets, the arrays of the bicubic surface, and of
-    a large raster the coarser levels of the heights and the extremes of blocks (attributes/pyramid.py, occluder.py).
+    These can be computed again from samples and errors: errors for leaves drawn as 4**m triangles ("_m1" ...), the
+    arrays of the bicubic surface ("_c"), and of a large raster the coarser levels of the heights ("pyramid") and the
+    highest and lowest samples of blocks of 2^FINEST cells a side and larger ("tops", "bottoms").
     """
     from ...kernels.effects.horizon import FINEST
 
@@ -120,7 +119,7 @@ def derived_shapes(lattice: Lattice) -> dict[str, tuple]:
     arrays |= dict.fromkeys(("tops", "bottoms"), ((sum(int(rows * columns) for rows, columns in levels),), np.float32))
     coarser = sum(int(rows * columns) for rows, columns in samples_by_level(lattice)[1:])
     arrays["pyramid"] = (max(coarser, 1),), np.float32
-    # Six numbers, and the exponents of the groups, the cells and the curvatures.
+    # NUMBERS of bicubic.py, and the exponents of the error tables of the groups of depths, the cells and curvatures.
     return arrays | {"numbers_c": ((6 + lattice.groups + 2,), np.float64)}
 
 

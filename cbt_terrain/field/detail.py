@@ -65,14 +65,14 @@ class Detail:
     def waves(self, finest: float) -> list[tuple[float, float]]:
         """Return the (amplitude, wavelength), metres, of the octaves that leaves with edges of `finest` metres resolve.
 
-        The longest octave is always there, others without amplitude are left out; none is there if the detail has no
-        amplitude. The amplitudes add up to that of the detail.
+        A wave has to have at least EDGES_A_WAVE edges, but the longest octave is always there. Octaves without
+        amplitude are left out. The amplitudes add up to that of the detail.
         """
         lengths = [self.wavelength * 0.5**k for k in range(MAX_OCTAVES)]
         shown = [length for k, length in enumerate(lengths) if k == 0 or length >= EDGES_A_WAVE * finest]
-        parts = list(accumulate([1.0] + [self.roughness] * (len(shown) - 1), operator.mul))
-        share = self.amplitude / add_up(parts)
-        return [(share * part, length) for part, length in zip(parts, shown, strict=True) if share * part > 0.0]
+        ratios = list(accumulate([1.0] + [self.roughness] * (len(shown) - 1), operator.mul))  # to the first amplitude
+        first = self.amplitude / add_up(ratios)
+        return [(first * ratio, length) for ratio, length in zip(ratios, shown, strict=True) if first * ratio > 0.0]
 
     def parts(self, finest: float) -> list[DetailTerm]:
         """Return the octaves that `waves` lists, each as a summand from which bounds are computed.
@@ -81,17 +81,18 @@ class Detail:
         """
         terms = []
         for amplitude, length in self.waves(finest):
+            # CURVATURE (c above) and SLOPE bound the derivatives for an amplitude and a wavelength of 1.
             curvature, slope = CURVATURE * amplitude / (length * length), SLOPE * amplitude / length
-            # detail_bounds.py splits a height into a smooth part and a rest, of which it uses only the range (`far`).
+            # Bounds split a height into a smooth part and a remainder, of which only the range counts (`far`).
             all_smooth = Split(far=0.0, curvature=curvature, steep=slope, highest=amplitude)
-            all_rest = Split(far=2 * amplitude, curvature=0.0, steep=0.0, highest=0.0)
-            terms.append(DetailTerm(highest=amplitude, steep=slope, shortest=length, splits=(all_smooth, all_rest)))
+            not_smooth = Split(far=2 * amplitude, curvature=0.0, steep=0.0, highest=0.0)
+            terms.append(DetailTerm(highest=amplitude, steep=slope, shortest=length, splits=(all_smooth, not_smooth)))
         return terms
 
     def packed(self, finest: float) -> "kernels.PackedDetail":
-        """Return the octaves that `waves` lists as kernels read them.
+        """Return the octaves with waves long enough for a mesh, as a structure of kernels.
 
-        finest: metres of the shortest edges of meshes.
+        finest: metres of the mesh's shortest edges; `waves` lists (amplitude, wavelength) of the octaves for it.
         """
         from ...kernels.field import detail as kernels
 

@@ -60,7 +60,10 @@ def cells_of(values: np.ndarray) -> tuple[int, int]:
 
 
 def fill_max_cells(values: np.ndarray, max_cells: np.ndarray) -> None:
-    """Fill `max_cells`, uint8 [entries], with `LayerMask.max_cells` of the values of a mask, uint8 [height, width]."""
+    """Fill `max_cells`, uint8 [entries], with the maxima of a mask: of each cell, of 2 x 2 cells, and so on to all.
+
+    values: of the mask, uint8 [height, width].
+    """
 
     def finest(rows: slice) -> np.ndarray:
         """Return the maxima of some rows of cells."""
@@ -124,24 +127,27 @@ def _groups(ground: Ground | None, finest: float, lattice: Lattice) -> list[list
     steps = lattice.step_x, lattice.step_y
     return [
         everywhere,
+        # Bounds that include the slope of a mask, which is bilinear in cells of the size `steps`.
         *(masked_terms(layer.detail.parts(finest), steps) for layer in layers if layer.mask is not None),
     ]
 
 
 def layer_tables(ground: Ground | None, finest: float, lattice: Lattice, meshlet: int) -> np.ndarray:
-    """Return the bounds of all layers without a mask, then of each layer with one, where its mask is 1 of 255.
+    """Return a table of bounds for all layers without a mask together, then one for each layer with a mask.
 
-    finest: shortest edge of a mesh, metres. meshlet: leaves are drawn as 4**meshlet triangles. The result is float32 [1
-    + masks, 64, 2] metres, a `tables` of detail_bounds.py for each. The first one holds the climbs of all layers
-    together, at masks of 255; the climbs in the others are not used.
+    The result is float32 [1 + masks, 64, 2] metres, for each depth of a leaf: the largest distance between the
+    displacement and the drawn triangles, and its largest difference between the leaf's corners. Distances in a mask's
+    table are for a mask of 1; kernels multiply them by the largest value of the mask there, at most 255. The first
+    table has the differences of all layers together, at masks of 255; those in the other tables are not used. finest:
+    shortest edge of a mesh, metres. meshlet: leaves are drawn as 4**meshlet triangles.
     """
     steps, half_cell_depth = (lattice.step_x, lattice.step_y), 2 * lattice.levels + 1
     first, *others = _groups(ground, finest, lattice)
     bounds = [tables(first, steps, lattice.levels, meshlet)]
-    for parts in others:
+    for parts in others:  # table: [depth, distance and difference] at a mask of 255
         table = tables(parts, steps, lattice.levels, meshlet, smooth_from=half_cell_depth)
         bounds[0][:, 1] += table[:, 1]
-        table[:, 0] *= np.float32(1.0 / ALL) * ROUNDING
+        table[:, 0] *= np.float32(1.0 / ALL) * ROUNDING  # for a mask of 1, slightly up
         bounds.append(table)
     bounds[0][:, 1] *= ROUNDING if others else np.float32(1.0)
     return np.stack(bounds)
@@ -159,7 +165,10 @@ def max_of_masks(ground: Ground | None) -> np.ndarray:
 
 
 def _joined(arrays: list[np.ndarray]) -> np.ndarray:
-    """Return arrays of uint8 as one flat array: without a copy if they are neighbours in the memory of one array."""
+    """Return arrays of uint8 as one flat array: without a copy if they are neighbours in the memory of one array.
+
+    Masks of a large raster are, since one file of its store has them all.
+    """
     if not arrays:
         return np.empty(0, np.uint8)
     first, ends = arrays[0], [array.ctypes.data + array.nbytes for array in arrays]
@@ -177,11 +186,13 @@ def fill_layers(domain: "Domain", ground: Ground | None, finest: float, lattice:
     """
     from ...kernels import wp
 
+    # levels: the first entry of each level of a mask's maxima, and their end
     parts, levels = bound_terms(ground, finest, lattice), mask_levels(lattice)
     domain.detailed, domain.max_detail = int(bool(parts)), highest(parts)
     domain.detail = shared(layer_tables(ground, finest, lattice, meshlet).reshape(-1, 2), wp.vec2f)
     domain.masked = sum(int(layer.mask is not None) for layer in layers_below(ground))
-    domain.mask_max, domain.mask_top = flat(max_of_masks(ground), wp.uint8), len(levels) - 2  # the last level
+    # Maxima of each mask over blocks of cells: a pyramid, with the first entry of each level and the last level.
+    domain.mask_max, domain.mask_top = flat(max_of_masks(ground), wp.uint8), len(levels) - 2
     domain.mask_first = shared(levels, wp.int64)
 
 
@@ -195,9 +206,9 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
     from ...kernels.field import detail as kernels
 
     layers, heights, masks, packed = [], [], [], kernels.PackedLayers()
-    num_pixels = num_mask_bytes = 0
+    num_pixels = num_mask_bytes = 0  # of the layers so far: where the next one begins in the joint arrays
     for layer in layers_below(ground):
-        if isinstance(layer.detail, Tiled):
+        if isinstance(layer.detail, Tiled):  # a repeated image: its control heights are float32 from -1 to 1
             packed_layer, control_heights = layer.detail.packed(finest)
             packed_layer.pixel, num_pixels = num_pixels, num_pixels + control_heights.size
             heights.append(control_heights.reshape(-1))
@@ -218,7 +229,9 @@ def pack_layers(ground: Ground | None, finest: float, lattice: Lattice) -> "kern
     packed.pixels = flat(np.concatenate([np.empty(0, np.float32), *heights]), wp.float32)
     packed.masks = flat(_joined(masks), wp.uint8)
     packed.columns, packed.rows = lattice.width, lattice.height
+    # The origin of the terrain's space, metres from the raster's middle.
     packed.anchor_x, packed.anchor_y = lattice.anchor_x, lattice.anchor_y
+    # The raster's south-western corner from its middle, metres, and the cells in a metre.
     packed.west, packed.south = -0.5 * lattice.cells_x * lattice.step_x, -0.5 * lattice.cells_y * lattice.step_y
     packed.per_x, packed.per_y = 1.0 / lattice.step_x, 1.0 / lattice.step_y
     return packed

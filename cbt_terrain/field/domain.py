@@ -27,13 +27,15 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     lattice = field.lattice
     domain = Domain()
     domain.columns, domain.rows, domain.levels = lattice.columns, lattice.rows, lattice.levels
-    # Corners of triangles are integers: a unit is a cell halved `unit_bits - levels` times.
+    # Corners of triangles are integers: a unit is a cell halved `unit_bits - levels` times. Two bisections halve a
+    # side, and so does each step of a meshlet.
     wanted_bits = max(lattice.levels, depth_limit(field) // 2 + 1) + MAX_MESHLET
     domain.unit_bits = min(wanted_bits, lattice.unit_bits)
     unit = 2.0 ** (lattice.levels - domain.unit_bits)
     domain.unit_x, domain.unit_y = lattice.step_x * unit, lattice.step_y * unit
     domain.west, domain.south, _, _ = lattice.rectangle()
-    sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])  # of the raster, and with padding
+    # Cells of the raster, and with padding. If they are equal, no triangle crosses the raster's border.
+    sides = (lattice.cells_x, lattice.span[0]), (lattice.cells_y, lattice.span[1])
     cell_bits = domain.unit_bits - lattice.levels  # log2 of a cell's units
     domain.east, domain.north = (NO_BORDER if cells == padded else cells << cell_bits for cells, padded in sides)
     domain.height_scale, domain.height_offset = height_scale, height_offset
@@ -43,15 +45,18 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     fill_layers(domain, field.detail, field.finest_edge, lattice, meshlet)
     finer = field.finer
     if finer is not None:
+        # `detailed`: displacement layers or finer tiles add to the raster's errors.
         domain.has_finer, domain.finer, domain.detailed = 1, finer.packed, 1
     domain.max_change = field.max_change
-    # Depth of the deepest leaves with triangles across the raster's border.
+    # Depth of the deepest leaves with triangles across the raster's border: a leaf of this depth is drawn as triangles
+    # of a cell's size.
     domain.border_depth = 2 * (lattice.levels - meshlet)
     domain.bicubic = int(field.interpolation == "bicubic")
-    base, pages = lattice.layout()
+    base, pages = lattice.layout()  # first entries of the groups of depths, of the cells, and the end; pages in a row
     domain.base, domain.pages = shared(base, wp.int64), shared(pages, wp.int32)
-    domain.cell_base, domain.cell_pages = base[-2], pages[-1]  # after all groups
+    domain.cell_base, domain.cell_pages = base[-2], pages[-1]
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
+    # Numbers of the cells' and the curvatures' tables of codes, which follow those of the groups.
     domain.cell_group, domain.curvature_group = lattice.groups, lattice.groups + domain.bicubic
     domain.error = flat(error_for(field, meshlet), wp.uint8)
     domain.table = flat(field.table, wp.float32)
@@ -59,6 +64,7 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.range_cells = base[-2]
     domain.ranges = flat(field.ranges, wp.uint16)
+    # `steps`: how 16-bit samples convert to metres, None for float32.
     domain.samples = codes.pack_samples(field.samples, field.steps)
     return domain
 

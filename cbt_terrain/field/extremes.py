@@ -19,11 +19,11 @@ def extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarr
 
 
 def find_extremes(field: HeightField, reduce: np.ufunc) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the maxima of all blocks (minima with np.minimum), float32 metres, level after level from FINEST on.
+    """Return the maxima of all blocks, each level's first index among them, and its number of blocks in a row.
 
-    A block of level k has 2^k cells a side, with the samples on its border; detail and finer tiles do not count. Also
-    the first index of each level, int64 [levels], and the number of blocks in its rows, int32 [levels], 0 below FINEST.
-    Those of a large raster are cached in its store. reduce: np.maximum or np.minimum.
+    Maxima (minima with np.minimum) are float32 metres, level after level from FINEST on. A block of level k has 2^k
+    cells a side, with the samples on its border; detail and finer tiles do not count. The others are int64 and int32
+    [levels], 0 below FINEST. Maxima of a large raster are cached in its store. reduce: np.maximum or np.minimum.
     """
     lattice, side, name = field.lattice, 1 << kernels.FINEST, "tops" if reduce is np.maximum else "bottoms"
     rows, columns = (-(-cells // side) for cells in (lattice.cells_y, lattice.cells_x))

@@ -17,6 +17,9 @@ large where one bends against the other. Inside tiles the error of the bilinear 
 bounds it, too. It is stored as a *bound* for diamonds of cells of 2 to 64 finer cells, and the smaller number counts.
 Where tiles do not cover a diamond's box, or a hole is in it, there is no bound. Then there is none above it either. And
 a bound is not below the sum in any finer cell. So the smaller number is nested.
+
+In all functions `smooth` is the bicubic surface of the raster alone, `finer` are the tiles of the bilinear surface, and
+a raster cell has 2^`bits` finer cells a side.
 """
 
 from functools import partial
@@ -68,20 +71,25 @@ def _are_valid(arrays: Arrays) -> bool:
 
 
 def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
-    """Fill the zeroed arrays of `bicubic_shapes`, by name; the same bytes for any number of threads."""
+    """Fill the zeroed arrays of `bicubic_shapes`, by name; the same bytes for any number of threads.
+
+    First the heights and the limits of the differences, from which the scales of codes follow; then the codes of
+    errors, ranges and bounds.
+    """
     bits, numbers, threads = finer.bits, finer.numbers, launch.default_threads()
     heights, errors, ranges, bounds = (arrays[f"finer_{name}_c"] for name in ("heights", "errors", "ranges", "bounds"))
     off = _max_distance(smooth, finer)  # of the surface from the bilinear one between the tiles' heights
     low, high = _fill_heights(smooth, finer, heights)
-    lows, highs = outward(np.array([low, high], np.float32), off)
+    lows, highs = outward(np.array([low, high], np.float32), off)  # minus and plus `off`, rounded outwards
     low, high = float(lows.min()), float(highs.max())
     around = partial(rectangle_around, smooth, bits, numbers, heights, surface=bicubic_heights)
     corners, limits = list(corners_of_squares(numbers)), np.zeros((*numbers.shape, 2), np.float32)
-    for corner in corners:
+    for corner in corners:  # squares of neighbouring tiles
         tiles = list(tiles_of(corner, numbers))
         rectangle = around(tiles)
         for tile in tiles:
             limits[tile.row, tile.column] = limits_of(rectangle, tile)
+    # Limits of all tiles, then of each 2 x 2 tiles, and so on: largest change in metres, and largest slope.
     arrays["finer_limits_c"][:] = np.concatenate([level.reshape(-1, 2) for level in halvings(limits, np.maximum)])
     # Diamonds too large for a stored error have twice the largest change.
     exponent = codes.exponent_of(2.0 * float(limits[..., 0].max(initial=0.0)))
@@ -97,7 +105,7 @@ def _fill(smooth: HeightField, finer: FinerTiles, arrays: Arrays) -> None:
 
 
 def _known_heights(smooth: HeightField, bits: int, rectangle: MeasuredRectangle) -> np.ndarray:
-    """Return the heights of a rectangle, float32 metres; NaN outside of tiles and in raster cells that are holes.
+    """Return the heights of a rectangle of finer samples, float32 m; NaN outside of tiles and in holes of the raster.
 
     The borders of holes are refined by the errors of the raster, which no bound may replace.
     """
@@ -105,6 +113,7 @@ def _known_heights(smooth: HeightField, bits: int, rectangle: MeasuredRectangle)
         return rectangle.heights
     places = zip((rectangle.row, rectangle.column), rectangle.heights.shape, smooth.valid.shape, strict=True)
     y, x = (np.clip(SIDE * first + np.arange(count), 0, (samples - 1) << bits) for first, count, samples in places)
+    # logical_or: a sample counts if any of the cells that meet there is a hole.
     in_hole = holes_around(smooth.valid, bits, x, y, np.logical_or)
     return np.where(in_hole, np.float32(np.nan), rectangle.heights)
 
@@ -130,12 +139,13 @@ def _mixed_heights(
 ) -> np.ndarray:
     """Return the heights of the surface at finer columns x and rows y: float32 [y, x] metres.
 
-    heights: the finer ones. weights: of these, 0 to 1; the bicubic surface replaces the bilinear one by the rest.
+    heights: of the finer tiles, float32 [y, x] metres, where the known heights have the weight w and the raster's
+    bilinear surface 1 - w; here the bicubic surface takes its place. weights: w, 0 to 1, [y, x].
     """
     if (weights == 1.0).all():
         return heights
     bilinear, bicubic = raster_heights(smooth, bits, x, y), bicubic_heights(smooth, bits, x, y)
-    # The rounding of the raster's surface to float32 is no difference.
+    # Adds (1 - w) (bicubic - bilinear). The rounding of the raster's surface to float32 is no difference.
     difference = np.where(heights == bilinear.astype(np.float32), 0.0, heights - bilinear)
     mixed = (difference + (bicubic * (1.0 - weights) + bilinear * weights)).astype(np.float32)
     return np.where(weights == 1.0, heights, mixed)
@@ -149,7 +159,7 @@ def bicubic_heights(plain: HeightField | HeightRaster, bits: int, x: np.ndarray,
     lattice, axes = plain.lattice, []
     for at, cells in ((x, lattice.cells_x), (y, lattice.cells_y)):
         axes.append(_samples_and_weights(at, cells, bits))
-    (columns, across), (rows, up) = axes
+    (columns, across), (rows, up) = axes  # for each position four samples of the raster, and their weights
     first_column, first_row = int(columns.min()), int(rows.min())
     nodes = plain.heights(slice(first_row, int(rows.max()) + 1), slice(first_column, int(columns.max()) + 1))
     nodes = nodes.astype(np.float64)
@@ -165,11 +175,13 @@ def _samples_and_weights(at: np.ndarray, cells: int, bits: int) -> tuple[np.ndar
     """
     inside = np.clip(at, 0, cells << bits)
     cell = np.minimum(inside >> bits, cells - 1)
-    t = (inside - (cell << bits)) / (1 << bits)
+    t = (inside - (cell << bits)) / (1 << bits)  # fraction of the cell before the position, and r after it
     r = 1.0 - t
+    # Of the sample before the cell, of those at both ends of it, and of the one after it.
     weights = np.array(
         [-0.5 * t * r * r, 1 - 0.5 * t * t * (5 - 3 * t), 0.5 * t * (1 + t * (4 - 3 * t)), -0.5 * t * t * r]
     )
+    # In the first and last cell the outer sample is beyond the border: its weight goes to the two inside of it.
     for beyond, outer, near, far in ((cell == 0, 0, 1, 2), (cell == cells - 1, 3, 2, 1)):
         weights[near] += np.where(beyond, 2.0 * weights[outer], 0.0)
         weights[far] -= np.where(beyond, weights[outer], 0.0)
@@ -185,9 +197,9 @@ def _max_distance(smooth: HeightField, finer: FinerTiles) -> float:
     lattice, bits = smooth.lattice, finer.bits
     codes_of_cells, table = smooth.error[lattice.node_count :], smooth.table[lattice.groups + 1]
     pages = ranges_at(lattice, lattice.cell_depth).pages
-    largest = 0
+    largest = 0  # of the codes of curvatures of the raster's cells in all tiles; a larger code is a larger curvature
     for row, column in np.argwhere(finer.numbers >= 0).tolist():
-        x, y = (
+        x, y = (  # columns and rows of the raster's cells that the tile meets
             np.arange(SIDE * at >> bits, min(SIDE * (at + 1) - 1 >> bits, cells - 1) + 1, dtype=np.int64)
             for at, cells in ((column, lattice.cells_x), (row, lattice.cells_y))
         )

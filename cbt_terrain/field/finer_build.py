@@ -1,5 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Computation of finer tiles (finer_tiles.py): their heights, the errors of the change, and the ranges of heights."""
+"""Computation of finer tiles (finer_tiles.py): their heights, the errors of the change, and the ranges of heights.
+
+The *change* is the surface with finer heights minus that of the raster. Arguments of all functions:
+
+    plain     the raster's bilinear field, without finer tiles
+    bits      a raster cell has 2^bits finer cells a side
+    numbers   int32 [rows, columns] of the table of tiles: index of each in the arrays of tiles, -1 without a tile
+    heights   float32 [tiles, STRIDE, STRIDE] metres, the samples of each tile and one more on each side
+    records   results of an earlier attempt or store, which are used again where their inputs are the same; kinds:
+              LIMITED, the limits of a tile's change; MEASURED, its errors; RANGED, its ranges of heights
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -118,12 +128,12 @@ def _ends(heights: np.ndarray) -> tuple[float, float]:
 def corners_of_squares(numbers: np.ndarray) -> Iterator[Tile]:
     """Yield the corner of each square of BLOCK x BLOCK tiles, with a margin of one tile, that has any tile.
 
-    A corner is column and row of the first tile of the margin, -1 outside of the table. numbers: `FinerTiles.numbers`.
+    A corner is column and row of the first tile of the margin, -1 outside of the table.
     """
     rows, columns = numbers.shape
     first_row, first_column = (int(places.min(initial=max(rows, columns))) - 1 for places in np.nonzero(numbers >= 0))
     for row, column in product(range(first_row, rows, BLOCK), range(first_column, columns, BLOCK)):
-        if (_numbers_in(numbers, (column, row)) >= 0).any():
+        if (_numbers_in(numbers, (column, row)) >= 0).any():  # of the square or its margin
             yield column, row
 
 
@@ -146,15 +156,15 @@ def rectangle_around(
     Beyond the raster's border all values are those at the border.
 
     Args:
-        plain: the raster; bits: a raster cell has 2^bits finer cells a side.
-        numbers, heights: of all tiles (`FinerTiles`). tiles: those to enclose, at least one.
-        surface: returns the heights of the raster's surface, as `raster_heights`.
+        tiles: those to enclose, at least one.
+        surface: surface(plain, bits, x, y) returns the heights of the raster's surface at finer columns x and rows y.
     """
     last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
     row, column = (min(tile[axis] for tile in tiles) - 1 for axis in (0, 1))  # of the margin's first tile
     sample_rows, sample_columns = (
         SIDE * (max(tile[axis] for tile in tiles) + 2 - first) + 1 for axis, first in ((0, row), (1, column))
     )
+    # The part of the table of tiles that the rectangle covers.
     near = numbers[max(row, 0) : row + sample_rows // SIDE, max(column, 0) : column + sample_columns // SIDE]
     change, all_heights = (
         np.zeros((sample_rows, sample_columns), np.float32),
@@ -169,11 +179,11 @@ def rectangle_around(
         i, j = x - SIDE * column, y - SIDE * row  # the tile's first sample in the rectangle
         area = slice(j, j + SIDE + 1), slice(i, i + SIDE + 1)
         change[area], all_heights[area] = difference, finer
-    # Repeat the values of the raster's border beyond it.
+    # Beyond the border: clamp rows and columns to the raster, then to the rectangle.
     for axis, count, first, end in ((1, sample_columns, SIDE * column, last[0]), (0, sample_rows, SIDE * row, last[1])):
         clamped = np.clip(np.clip(first + np.arange(count), 0, end) - first, 0, count - 1)
         change, all_heights = (np.take(values, clamped, axis) for values in (change, all_heights))
-    roots = (sample_columns - 1) // SIDE, (sample_rows - 1) // SIDE
+    roots = (sample_columns - 1) // SIDE, (sample_rows - 1) // SIDE  # a root square for each tile
     lattice = Lattice(*roots, TILE_BITS, *_steps(plain, bits))
     return MeasuredRectangle(column, row, np.ascontiguousarray(all_heights), np.ascontiguousarray(change), lattice)
 
@@ -194,15 +204,16 @@ def _measured(
     on_progress: Callable[[float], None],
     records: FinerRecords,
 ) -> FinerTiles:
-    """Return the tiles with the errors and limits of their change, measured where `records` has none.
+    """Return the tiles with the errors of their change and its limits (largest change, metres, and largest slope).
 
-    numbers, heights: of all tiles (`FinerTiles`). ends: lowest and highest height, metres. Other arguments are those of
-    `with_finer_tiles`.
+    Only tiles that `records` lacks are measured. ends: lowest and highest height, metres. allocate: returns a zeroed
+    array, or one of an earlier attempt.
     """
     lattice, inputs = plain.lattice, inputs_of_tiles(plain, bits, numbers, heights)
     limits_of_tiles = _measure_limits(plain, bits, numbers, heights, inputs, records)
+    # The limits of all tiles, then of each 2 x 2 tiles, and so on to those of the whole table.
     limits = np.concatenate([level.reshape(-1, 2) for level in halvings(limits_of_tiles, np.maximum)])
-    # The last limits are those of all tiles. Diamonds too large for a stored error have twice the largest change.
+    # Codes have to reach twice the largest change, which is the error of diamonds too large for a stored one.
     exponent = codes.exponent_of(2.0 * float(limits[-1, 0]))
     table = codes.tables([exponent])[0]
     errors = allocate("finer_errors", (len(heights), int(kernels.ERRORS)), np.dtype(np.uint8))
@@ -212,8 +223,9 @@ def _measured(
         (MEASURED, errors, str(exponent), partial(fill_errors, table=table)),
         (RANGED, ranges, str(scale), partial(fill_ranges, scale=scale)),
     )
-    for corner in corners_of_squares(numbers):
+    for corner in corners_of_squares(numbers):  # squares of tiles, row by row
         on_progress((corner[1] + 1) / len(numbers))
+        # For each output the tiles (row, column, number) whose record is missing or has other inputs.
         missing_by_output: list[list[MeasuredFinerTile]] = [[] for _ in outputs]
         for (kind, array, coding, _fill), tiles in zip(outputs, missing_by_output, strict=True):
             for tile in tiles_of(corner, numbers):
@@ -245,9 +257,10 @@ def _measure_limits(
     inputs: dict[tuple[int, int], str],
     records: FinerRecords,
 ) -> np.ndarray:
-    """Return the largest change and slope of each tile, float32 [rows, columns, 2], from records or measured and noted.
+    """Return the largest change of each tile, metres, and its largest slope: float32 [rows, columns, 2], 0 without one.
 
-    numbers, heights: of all tiles (`FinerTiles`). inputs: of `inputs_of_tiles`.
+    They are taken from records. Missing ones are measured, for neighbouring tiles in one rectangle, and noted there.
+    inputs: by row and column of a tile a digest of all that determines its change (`inputs_of_tiles`).
     """
     steps = _steps(plain, bits)
     limits = np.zeros((*numbers.shape, 2), np.float32)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights of finer tiles (finer_tiles.py): those of the raster, and where they are known those of finer files.
 
-They are read by window, and each finished window is recorded with a digest of all that determines it. So a killed
-computation loses one at most, and windows that have not changed are taken from an earlier store.
+They are read by window (WINDOW x WINDOW tiles), and each finished window is recorded with a digest of all that
+determines it. So a killed computation loses one at most, and windows that have not changed are taken from an earlier
+store. In all functions `plain` is the raster's field without finer tiles, a raster cell has 2^`bits` finer cells a
+side, and `records` are those of finished windows (FinerRecords), of the kind FILLED.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +21,7 @@ from .lattice import TileBox
 
 MARGIN = 2  # raster cells, inside the border of the finer tiles, in which heights change from the raster's to the finer
 WINDOW = 4  # tiles along a side of the windows that are read together
-LOOKED = 0.3  # of the progress, when it is known which windows are read
+LOOKED = 0.3  # fraction of the progress when it is known which windows have to be read
 # Kinds of records: the heights of a window, the limits of the change of a tile, its errors, and its ranges.
 FILLED, LIMITED, MEASURED, RANGED = "finer_filled", "finer_limited", "finer_measured", "finer_ranged"
 
@@ -75,6 +77,7 @@ def raster_nodes(plain: HeightField | HeightRaster, bits: int, x: tuple[int, int
     """
     lattice, ranges = plain.lattice, []
     for ends, cells in ((y, lattice.cells_y), (x, lattice.cells_x)):
+        # Raster cells of the first and the last position; the last one also has a sample at its end.
         first, last = (min(min(max(end, 0), cells << bits) >> bits, cells - 1) for end in ends)
         ranges.append(slice(first, last + 2))
     return plain.heights(*ranges)
@@ -124,10 +127,11 @@ def fill_heights(
 ) -> Iterator[float]:
     """Fill `heights` with those of all tiles and the samples around them, metres; yield the fraction that is done.
 
-    Arguments are those of `with_finer_tiles`. known: grouped by window. numbers: int [rows, columns] of the table of
-    tiles, their indices in `heights`, -1 for none.
+    known: tiles with finer heights, grouped by window. numbers: int [rows, columns] of the table of tiles, their
+    indices in `heights`, -1 for none. heights: float32 [tiles, STRIDE, STRIDE]. read(box): returns finer heights,
+    float32 [rows, columns] metres, NaN where only the raster is known.
     """
-    last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits
+    last = plain.lattice.cells_x << bits, plain.lattice.cells_y << bits  # column and row of the last finer sample
     windows = [list(tiles) for _window, tiles in groupby(known, window_of)]
 
     def inner_heights(tile: Tile) -> np.ndarray:
@@ -137,6 +141,7 @@ def fill_heights(
 
     reused: set[Tile] = set()  # tiles of windows that have their heights already
     digests, known_tiles = [], set(known)
+    # Compare each window with its record; this takes the fraction LOOKED of the progress.
     for index, tiles in enumerate(windows):
         yield LOOKED * index / len(windows)
         digests.append(_inputs_of_window(plain, bits, tiles, known_tiles, records))
@@ -158,7 +163,7 @@ def fill_heights(
                 box_heights = inner_heights(tile).copy() if tile in reused else _read_box(read, box)
                 for row, column in product(range(tile[1] - 1, tile[1] + 2), range(tile[0] - 1, tile[0] + 2)):
                     if 0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]:
-                        _lay(box_heights, box, heights[numbers[row, column]], column, row)
+                        _write_known(box_heights, box, heights[numbers[row, column]], column, row)
         if tiles[0] not in reused:
             sums = digest_of(map(inner_heights, tiles))
             records.note(FILLED, window_of(tiles[0])[::-1], inputs=digests[index], sums=sums)
@@ -167,19 +172,22 @@ def fill_heights(
 
 
 def _inputs_of_window(plain: HeightField, bits: int, tiles: list[Tile], known: set[Tile], records: FinerRecords) -> str:
-    """Return a digest of all that determines the heights of the known tiles of a window.
+    """Return a digest of all that determines the heights of the known tiles of a window, `tiles`.
 
-    Places are counted from the window, so that a window is the same in a raster that grows in the west or south.
+    known: the known tiles of the whole table. Places are counted from the window, so that a window is the same in a
+    raster that grows in the west or south.
     """
     (down, across), lattice = window_of(tiles[0]), plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits
     x0, y0 = WINDOW * SIDE * across, WINDOW * SIDE * down
     box = TileBox(x0, y0, min(x0 + WINDOW * SIDE, last[0]), min(y0 + WINDOW * SIDE, last[1]))
     columns, rows = (range(WINDOW * at - 1, WINDOW * (at + 1) + 1) for at in (across, down))
+    # Known tiles in the window and next to it.
     around = [(column - columns[0], row - rows[0]) for row in rows for column in columns if (column, row) in known]
     nodes = raster_nodes(plain, bits, (box.x0, box.x1), (box.y0, box.y1))
     # Only ends of the raster that the window or its neighbours meet make a difference.
     ends = [min(across, 1), min(down, 1), *(min(end, WINDOW * SIDE + 1) for end in (last[0] - x0, last[1] - y0))]
+    # `inputs_of`: a digest of the finer files in the box.
     return digest_of([nodes], repr((bits, WINDOW, ends, around)), records.inputs_of(box))
 
 
@@ -193,13 +201,16 @@ def _is_filled(
 ) -> bool:
     """Return whether a window has its heights, of this computation or copied from an earlier store.
 
-    tiles: its known ones. inputs: of `_inputs_of_window`. The others are those of `fill_heights`.
+    tiles: its known ones. inputs: digest of all that determines its heights. inner_heights(tile): the part of `heights`
+    that is inside the tile and the raster. numbers: int [rows, columns] of the table of tiles, their indices in
+    `heights`. heights: float32 [tiles, STRIDE, STRIDE] metres, all tiles.
     """
-    place = window_of(tiles[0])[::-1]
+    place = window_of(tiles[0])[::-1]  # column and row
+    # Each record has the function that returns an earlier store's arrays, or None if it is of this computation.
     for record, earlier_arrays in records.find(FILLED, place, inputs):
         if record["inputs"] != inputs:
             continue
-        if earlier_arrays is not None:  # else the window was filled in this computation
+        if earlier_arrays is not None:  # else `heights` has them
             stored = [earlier_arrays("heights", tile) for tile in tiles]
             if any(array is None for array in stored):
                 continue
@@ -225,8 +236,11 @@ def _read_box(read: Callable[[TileBox], np.ndarray], box: TileBox) -> np.ndarray
     return heights
 
 
-def _lay(box_heights: np.ndarray, box: TileBox, tile: np.ndarray, column: int, row: int) -> None:
-    """Write the heights of a box that are not NaN into the samples of a tile. column, row: the tile's place."""
+def _write_known(box_heights: np.ndarray, box: TileBox, tile: np.ndarray, column: int, row: int) -> None:
+    """Write the heights of a box that are not NaN into the samples of a tile.
+
+    box: its columns x0 to x1 and rows y0 to y1 of finer samples, the last ones included. column, row: of the tile.
+    """
     x, y = SIDE * column - 1, SIDE * row - 1  # first samples of the tile, those around it included
     x0, x1 = max(box.x0, x), min(box.x1, x + STRIDE - 1)
     y0, y1 = max(box.y0, y), min(box.y1, y + STRIDE - 1)

@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors of the change, ranges of heights and limits of finer tiles (finer_tiles.py), by rectangles of tiles.
 
-The arrays that are filled are those of `FinerTiles`: an entry for the number of each tile.
+The arrays that are filled are those of `FinerTiles`: an entry for the number of each tile. It holds *pages*: blocks of
+PAGE x PAGE values in the order of lattice.py. They are cut from *images*: the values of a group of four depths of
+diamonds, as rows and columns of the vertices that split them, 4^group = 2^shift finer cells apart. Tiles store the
+errors of GROUPS groups. UP is a factor slightly above 1, which rounds bounds up. The *change* is the surface with finer
+heights minus that of the raster.
 """
 
 from collections.abc import Iterator
@@ -42,7 +46,7 @@ class MeasuredRectangle(NamedTuple):
     lattice: Lattice
 
     def samples_of(self, tile: MeasuredFinerTile) -> tuple[slice, slice]:
-        """Return the rows and columns of a tile's samples in the rectangle."""
+        """Return the rows and columns of a tile's samples in the rectangle, with the last ones, which tiles share."""
         y, x = SIDE * (tile.row - self.row), SIDE * (tile.column - self.column)
         return slice(y, y + SIDE + 1), slice(x, x + SIDE + 1)
 
@@ -57,7 +61,7 @@ def fill_errors(
 ) -> None:
     """Fill the codes of the errors of the change in some tiles of a rectangle.
 
-    table: metres of the codes.
+    errors: uint8 [all tiles, codes]. table: metres of the codes.
     """
     small = rectangle.lattice
     change_errors = np.zeros(small.node_count, np.float32)
@@ -78,10 +82,11 @@ def fill_bounds(
     exponent: int,
     off: float,
 ) -> None:
-    """Fill the bounds of a bicubic surface's own errors in some tiles of a rectangle.
+    """Fill the codes of a bound of the bicubic surface's errors (not those of the change) in some tiles of a rectangle.
 
-    exponent: of the codes of the errors of the change. off: largest distance of the surface, metres, from the bilinear
-    one between heights.
+    The bound is the error of the bilinear surface between the finer heights plus `off`, the largest distance of the
+    bicubic surface from it, metres. It is infinite where a diamond's box has unknown heights. bounds: uint8 [all tiles,
+    codes]. exponent: the codes of the errors of the change reach 2^exponent metres.
     """
     small, table = rectangle.lattice, codes.tables([exponent])[0]
     cells = hierarchy.stored_at(small, small.cell_depth)
@@ -95,8 +100,9 @@ def fill_bounds(
     np.maximum(surface_errors[cells.base :], coded, out=surface_errors[cells.base :])
     filled = np.nan_to_num(rectangle.heights)
     hierarchy.measure_triangles(filled, small, surface_errors, threads, measured=rectangle.heights)
+    # Number of unknown heights south and west of each sample.
     missing = np.pad(np.isnan(rectangle.heights).cumsum(0, np.int32).cumsum(1, np.int32), ((1, 0), (1, 0)))
-    images = []
+    images = []  # of each group of depths: bounds at rows and columns of vertices that are 2^shift cells apart
     for image, shift in _images(small.layout(), surface_errors, with_cells=False):
         rows, columns = image.shape
         # Above the rounding of `off`, of this sum, and of the sum of both errors in kernels.
@@ -116,18 +122,22 @@ def _are_covered(missing: np.ndarray, shape: tuple[int, int], shift: int) -> np.
     middle of a side.
     """
     covered = np.empty(shape, bool)
-    for row, column in np.ndindex(4, 4):  # the reach depends on these remainders of a vertex's row and column
+    # Cells of the group's two finer depths have a side of 2 vertices: the centre has an odd row and column, the middle
+    # of a side one of both odd. The coarser cells have 4, so this holds for half of the even rows and columns.
+    for row, column in np.ndindex(4, 4):  # remainders of a vertex's row and column
         is_larger = not (row | column) & 1  # the two coarser depths of the group
         is_edge = ((row ^ column) >> 1 if is_larger else row ^ column) & 1  # else the vertex is a cell's centre
+        # In vertices: 3 halves of a side are 3 or 6, a side is 2 or 4.
         reach = (2 if is_larger else 1) * (3 - is_edge) << shift
         ends = []
         for first, vertices, samples in zip((row, column), shape, missing.shape, strict=True):
             at = np.arange(first, vertices, 4) << shift
             ends.append((np.clip(at - reach, 0, samples - 1), np.clip(at + reach + 1, 0, samples - 1)))
         (south, north), (west, east) = ends
-        ahead = missing[np.ix_(north, east)] - missing[np.ix_(north, west)]
-        behind = missing[np.ix_(south, east)] - missing[np.ix_(south, west)]
-        covered[row::4, column::4] = ahead == behind
+        # The number of unknown samples in a box, from the numbers at its four corners, is 0 where both are equal.
+        up_to_north = missing[np.ix_(north, east)] - missing[np.ix_(north, west)]
+        up_to_south = missing[np.ix_(south, east)] - missing[np.ix_(south, west)]
+        covered[row::4, column::4] = up_to_north == up_to_south
     return covered
 
 
@@ -140,12 +150,12 @@ def fill_ranges(
     scale: tuple[float, float],
     off: float = 0.0,
 ) -> None:
-    """Fill the ranges of heights of some tiles of a rectangle.
+    """Fill the codes of the lowest and highest heights in some tiles of a rectangle.
 
-    scale: metres of code 0, and of a step. off: largest distance of the surface, metres, from the bilinear one between
-    heights.
+    ranges: uint16 [all tiles, codes, 2]. scale: metres of code 0, and of a step. off: largest distance of the surface,
+    metres, from the bilinear one between heights.
     """
-    small, heights = rectangle.lattice, np.nan_to_num(rectangle.heights)
+    small, heights = rectangle.lattice, np.nan_to_num(rectangle.heights)  # NaN outside of tiles
     low, high = outward(heights, off) if off else (heights, heights)
     surface_ranges = np.zeros((small.range_count, 2), np.uint16)
     hierarchy.build_ranges(low, small, *scale, surface_ranges, threads)
@@ -156,7 +166,7 @@ def fill_ranges(
     images = list(_images(small.range_layout(), surface_ranges, with_cells=False))
     for tile in tiles:
         area = rectangle.samples_of(tile)
-        # Ranges are those of a lattice of every other sample.
+        # Images of ranges have every other vertex: the two finest depths store none.
         ranges[tile.number] = np.concatenate([_pages(image, area, shift + 1) for image, shift in images])
 
 
@@ -177,9 +187,9 @@ def limits_of(rectangle: MeasuredRectangle, tile: MeasuredFinerTile) -> tuple[np
 def _images(
     layout: tuple[np.ndarray, np.ndarray], values: np.ndarray, with_cells: bool = True
 ) -> Iterator[tuple[np.ndarray, int]]:
-    """Yield the values of each stored group of depths as rows of vertices, and log2 of the cells between two.
+    """Yield the values of each stored group of depths as rows of vertices, and log2 of the cells between two vertices.
 
-    layout: of the values (lattice.py). with_cells: also yield those of the cells.
+    layout: first entry of each group in `values`, and its pages in a row. with_cells: also yield those of the cells.
     """
     base, pages = layout
     for group in (*range(GROUPS), *([len(pages) - 1] if with_cells else [])):

@@ -135,7 +135,8 @@ class FinerTiles:
 def bounds_table(exponent: int) -> np.ndarray:
     """Return the metres of the codes of `FinerTiles.bounds`, float32 [256]; the last one stands for no bound.
 
-    exponent: of the table of the errors of the change. A bound above the fourfold of the largest one counts as none.
+    exponent: the codes of the errors of the change reach 2^exponent metres. Bounds reach almost twice as far; a larger
+    one counts as none.
     """
     table = codes.tables([exponent + 1])[0]
     table[-1] = np.inf
@@ -194,7 +195,7 @@ def pyramid_sides(bits: int) -> list[int]:
 
     bits: a raster cell has 2^bits finer cells a side.
     """
-    return [(SIDE >> level) + 3 for level in range(1, bits)]
+    return [(SIDE >> level) + 1 + 2 for level in range(1, bits)]  # cells, their last sample, and one at each end
 
 
 def open_tiles(folder: Path, lattice: Lattice, entry: dict[str, Any]) -> FinerTiles:

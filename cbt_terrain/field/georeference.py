@@ -59,7 +59,10 @@ class Georeference:
 
     @property
     def place(self) -> Place | None:
-        """Return the affine map from the terrain's space to the CRS, None without a geotransform."""
+        """Return the affine map from the terrain's space to the CRS, None without a geotransform.
+
+        (x, y) in metres from the raster's middle becomes (a x + b y + c, d x + e y + f) in units of the CRS.
+        """
         if self.across is None or self.up is None:
             return None
         (a, d), (b, e) = (v / self.step_x for v in self.across), (v / self.step_y for v in self.up)
@@ -81,9 +84,11 @@ class Georeference:
 
 
 def known_place(place: Place | None, crs: str, origin: Sequence[float] | np.ndarray) -> Place | None:
-    """Return the place of a store; without one, metres from its origin, but None with a CRS, whose unit is unknown.
+    """Return the affine map from a terrain's space, metres, to its CRS; None if that is unknown.
 
-    crs: name of the system, "" without one. origin: CRS coordinates of the terrain's middle.
+    place: the map that the store records, or None. Without one and without a CRS, the map adds the origin; without one,
+    but with a CRS, it is unknown, as is the CRS's unit. crs: name of the system, "" without one. origin: CRS
+    coordinates of the terrain's middle.
     """
     return place if place or crs else (1.0, 0.0, float(origin[0]), 0.0, 1.0, float(origin[1]))
 
@@ -209,10 +214,13 @@ def from_transform(
         borders = [degrees * (d * column + e * row + f) for column in (0, width) for row in (0, height)]
         size_warnings += _border_warnings(y * degrees, borders, ellipsoid)
     elif not crs and max(map(abs, (a, b, d, e))) < 0.1 and abs(x) <= 180.0 and abs(y) <= 90.0:
+        # Cells of less than 0.1 at a possible longitude and latitude are more likely degrees than metres.
         size_warnings.append(
             f"The file names no coordinate system and its cells measure {length((a, d)):.6g}: taken as metres. If "
             "these are degrees, give the extent in metres."
         )
+    # Metres between samples along the file's rows and along its columns. Below, `across` and `up` are the steps in
+    # units of the CRS from a sample to the next one in the east and in the north of the terrain.
     along, down = length((a * metres_x, d * metres_y)), length((b * metres_x, e * metres_y))
     georeference = partial(Georeference, middle=(x, y), crs=crs, size_warnings=tuple(size_warnings))
     if a == e == 0.0:  # rows run along y

@@ -255,7 +255,7 @@ def anchored(field: HeightField, x: float, y: float) -> HeightField:
     with caching:
         if (x, y) not in field.cache.anchored:
             raster, lattice = field.raster, replace(field.lattice, anchor_x=x, anchor_y=y)
-            west, south, east, north = lattice.rectangle()
+            west, south, east, north = lattice.rectangle()  # sides of the raster, metres from the anchor
             if not (west <= 0.0 <= east and south <= 0.0 <= north):  # coordinates at its far end would be too coarse
                 raise TerrainError(
                     f"The anchor ({x:g}, {y:g}) is outside of the terrain",
@@ -268,7 +268,7 @@ def anchored(field: HeightField, x: float, y: float) -> HeightField:
                     fix="import it again",
                 )
             place = move_place(raster.known_place, x, y)
-            origin = np.array([place[2], place[5], raster.origin[2]])
+            origin = np.array([place[2], place[5], raster.origin[2]])  # CRS coordinates of the anchor
             field.cache.anchored.clear()
             field.cache.anchored[x, y] = field.with_raster(lattice=lattice, origin=origin, place=place)
         return field.cache.anchored[x, y]
@@ -286,12 +286,12 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
         return plain
     wanted = SurfaceSpec(field.interpolation, detail)
     with caching:
-        surface = surfaces.pop(wanted, None)
+        surface = surfaces.pop(wanted, None)  # to be put back last: the order is that of use
         if surface is None:
             displacement = highest(bound_terms(detail, plain.finest_edge, plain.lattice))  # metres, at most
             low, high = plain.min_height - displacement, plain.max_height + displacement
             surface = replace(plain, surface=wanted, min_height=low, max_height=high)
-            surfaces.setdefault(plain.surface, plain)
+            surfaces.setdefault(plain.surface, plain)  # from which later calls get it
         surfaces[wanted] = surface
         for spec in [spec for spec in surfaces if spec.detail][:-MAX_DETAILED]:
             del surfaces[spec]

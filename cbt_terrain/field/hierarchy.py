@@ -15,6 +15,10 @@ are saturated too: T is at least a quarter of that of the four neighbours, hence
 with the distance in steps from neighbour to neighbour.
 
 Saturated errors after Lindstrom and Pascucci (2002), "Terrain simplification simplified", sections 3 and 4.
+
+A `Depth` is where the arrays hold the diamonds of one depth: the middles of `columns` x `rows` cells (`sides` 0) or of
+the sides of such cells (`sides` 1). Diamond (x, y) is the vertex (first + x step, first + y step) of an image, which
+has `pages` pages of 32 x 32 vertices a row and begins at the entry `base`.
 """
 
 from collections.abc import Callable, Iterator
@@ -119,15 +123,17 @@ def measure_triangles(
     measured: np.ndarray | None = None,
     coarsest: int = 1,
 ) -> None:
-    """Fill `errors` above the raster's cells, whose entries are there, up to the depth `coarsest`.
+    """Fill `errors` of the diamonds above the raster's cells, up to the depth `coarsest`.
 
-    Other arguments are those of `build_errors`; on_progress gets fractions up to 1. A tile of a large raster, which
-    knows only a part of the coarser diamonds, ends below them.
+    The errors of the cells must be in it (`build_twists`). samples: float32 [height, width] metres, holes filled.
+    measured: the same with NaN where samples do not count; None if all count. coarsest: more than 1 for a tile of a
+    large raster, which knows only a part of the coarser diamonds.
     """
     out = flat(errors, wp.float32)
     raster = pack_samples(samples, steps=None)
     counted = pack_samples(samples if measured is None else measured, steps=None)
-    # How far blocks are from bilinear patches: the kernels below skip blocks that cannot raise an error.
+    # How far blocks of BLOCK x BLOCK cells are from bilinear patches between their corners: the kernels below skip
+    # blocks that cannot raise an error.
     patches = kernels.PatchDistances()
     rows, patches.columns = ((count - 1) // kernels.BLOCK for count in samples.shape)
     patches.metres = wp.empty(rows * patches.columns, dtype=wp.float32, device="cpu")
@@ -141,11 +147,13 @@ def measure_triangles(
         launch.spread(
             kernels.patch_distances, rows, inputs, step="error hierarchy", threads=threads, cost=samples.shape[1]
         )
+    # From fine to coarse; diamonds are at sides of cells and at middles of cells at alternating depths. `finer` and
+    # `coarser` are the layouts of the depth below and of this one, `side` is the side of this depth's cells in samples.
     for depth, finer, coarser, count in upward(lattice.cell_depth, partial(stored_at, lattice)):
         if depth < coarsest:
             break
         side = 1 << (lattice.levels - (depth - 1) // 2)
-        cost = 1.0 + 0.05 * side * side
+        cost = 1.0 + 0.05 * side * side  # estimate, relative: it decides how the items are spread over threads
         if coarser.sides:
             spread(kernels.side_errors, count, [raster, counted, patches, side // 2, finer, coarser], 2 * cost)
         else:
@@ -162,6 +170,7 @@ def saturate_cells(cells: Depth, part: float, out: wp.array, step: str, threads:
     """
     spread = partial(launch.spread, step=step, threads=threads)
     inputs = [wp.float32(part), cells, out]
+    # Rows and then columns reach all cells: n is the sum of the steps along both.
     spread(kernels.saturate_rows, cells.rows, inputs, cost=0.2 * cells.columns)
     blocks, cost = -(-cells.columns // COLUMN_BLOCK), 0.2 * COLUMN_BLOCK * cells.rows
     spread(kernels.saturate_columns, blocks, [COLUMN_BLOCK, *inputs], cost=cost)
@@ -199,9 +208,9 @@ def build_ranges(
 ) -> None:
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
 
-    The two finest depths, three quarters of all, are not stored: the walk intersects the ranges of their parents, which
-    is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser ones. before: columns and
-    rows of `samples` before the lattice's first ones.
+    The two finest depths, three quarters of all diamonds, are not stored. Refinement intersects the ranges of their
+    parents instead, which is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser
+    depths. before: columns and rows of `samples` before the lattice's first ones.
     """
     if lattice.range_depth == 0:
         return
@@ -209,6 +218,7 @@ def build_ranges(
     scale = wp.float64(base), wp.float64(step)
     inputs = [pack_samples(samples, steps=None), *before, *scale, finest, flat(ranges, wp.uint16)]
     cost = 6.0 * lattice.width
+    # An item is a row of the finest stored diamonds. They are on sides of cells, of which there is one row more.
     launch.spread(
         range_kernels.finest_ranges, finest.rows + 1, inputs, step="height ranges", threads=threads, cost=cost
     )
@@ -216,7 +226,7 @@ def build_ranges(
 
 
 def unite_ranges(lattice: Lattice, ranges: np.ndarray, threads: int) -> None:
-    """Fill the ranges of heights above the finest stored depth, whose entries are there, depth by depth."""
+    """Fill the ranges of heights above the finest stored depth, depth by depth. Those of that depth must be in it."""
     out = flat(ranges, wp.uint16)
     for _, finer, coarser, count in upward(lattice.range_depth, partial(ranges_at, lattice)):
         launch.spread(range_kernels.unite_children, count, [finer, coarser, out], step="height ranges", threads=threads)

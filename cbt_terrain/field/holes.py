@@ -35,6 +35,7 @@ def holes_around(valid: np.ndarray, bits: int, x: np.ndarray, y: np.ndarray, joi
     valid: uint8 [height, width], 0 where a sample of the raster is missing. x, y: ascending columns and rows of the
     samples, which are 2^bits a cell. join: np.logical_or for one, np.logical_and for all.
     """
+    # For each sample the cells before and after it along both axes; both are the same inside of a cell.
     (south, north), (west, east) = (
         [np.clip(at - before >> bits, 0, count - 2) for before in (1, 0)]
         for at, count in zip((y, x), valid.shape, strict=True)

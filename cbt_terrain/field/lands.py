@@ -61,7 +61,11 @@ class BuiltInTerrain:
 
 
 def _island_kernel(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
-    """Return the kernel of the island and its arguments, as `BuiltInTerrain.launched`."""
+    """Return the kernel that computes rows of the island from number `row` on, and its arguments.
+
+    The first argument, offset, and the last, samples, are left out (see `BuiltInTerrain.launched`). size: samples a
+    side.
+    """
     from ...kernels import wp
     from ...kernels.field.island import raise_island
 
@@ -72,7 +76,11 @@ _DUNES = 8192.0
 
 
 def _dunes_kernel(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
-    """Return the kernel of the dunes and its arguments, as `BuiltInTerrain.launched`."""
+    """Return the kernel that computes rows of the dunes from number `row` on, and its arguments.
+
+    The first argument, offset, and the last, samples, are left out (see `BuiltInTerrain.launched`). size: samples a
+    side.
+    """
     from ...kernels import wp
     from ...kernels.land.sand import raise_dunes
 
@@ -82,12 +90,12 @@ def _dunes_kernel(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
 def _mountain_terrain(name: str, label: str, about: str, side: float, shape: str, preset: str) -> BuiltInTerrain:
     """Return a built-in terrain of mountain ranges, which `raise_land` computes.
 
-    shape: name of its shape's number in kernels/land/ranges.py. side: metres of its square. preset: name of the stack
-    that shapes it.
+    name: as a source to import. label, about: texts in menus. shape: name of its shape's number in
+    kernels/land/ranges.py. side: metres of its square. preset: name of the stack that shapes it.
     """
 
     def launched(size: int, row: int, seed: int) -> "tuple[wp.Kernel, list]":
-        """Return the kernel and its arguments, as `BuiltInTerrain.launched`."""
+        """Return the kernel that computes rows from number `row` on, and its arguments but the first and the last."""
         from ...kernels import wp
         from ...kernels.land import ranges
 

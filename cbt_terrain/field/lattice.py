@@ -155,7 +155,7 @@ class Lattice:
         At an odd depth they are those of the cells whose centres have entries; an even depth has those of the next one.
         With padding, one column or row is beyond the border; the boxes of further ones are entirely beyond it.
         """
-        side = self.levels - depth // 2
+        side = self.levels - depth // 2  # log2 of the raster cells along the side of such a cell
         columns, rows = self.columns << depth // 2, self.rows << depth // 2
         return min(columns, -(-self.cells_x >> side) + 1), min(rows, -(-self.cells_y >> side) + 1)
 
@@ -204,9 +204,9 @@ def _images(lattice: Lattice, levels: int) -> tuple[np.ndarray, np.ndarray]:
     first entries, int64, end with the total; pages, int32, have an item for each group and one for the cells. Both
     arrays are cached and read-only.
     """
-    sizes, pages = [0], []
+    sizes, pages = [0], []  # entries of each image, after a 0; pages in a row of each
     for group in range((levels + 1) // 2 + 1):
-        if group == (levels + 1) // 2:
+        if group == (levels + 1) // 2:  # the cells: columns and rows of their image
             wide, high = lattice.extent(lattice.cell_depth)
         else:
             # The group's coarsest cells reach farthest beyond the border (`extent`). Their centres have depth 2q + 1.
@@ -227,6 +227,7 @@ def tile_index(x: np.ndarray, y: np.ndarray, pages: np.ndarray | int) -> np.ndar
     A page has 8 x 8 blocks of 4 x 4 vertices.
     """
     page = (y >> 5) * np.int64(pages) + (x >> 5)
+    # Bits from the highest: page, block's row (3), block's column (3), row (2) and column (2) within the block.
     return page << 10 | (y & 28) << 5 | (x & 28) << 2 | (y & 3) << 2 | (x & 3)
 
 

@@ -62,8 +62,8 @@ def expand_codes(lattice: Lattice, errors: np.ndarray, table: np.ndarray, meshle
             inputs = [stored_at(lattice, depth + 1), coarser, flat(translated, wp.uint8), out]
             launch.spread(kernels.raise_codes, items(coarser), inputs, step="meshlet errors", threads=threads)
         # On a bilinear surface a cell's diamond and the side diamonds one bisection below have the same error, so
-        # every other pass moves cells by two bisections. Curvatures halve with each bisection: in those passes by
-        # `_raise_cells`, in the others here.
+        # every other pass moves cells by two bisections. On a bicubic surface curvatures, and the errors of cells with
+        # them, halve with each bisection: in those passes by `_raise_cells`, in the others here.
         if step % 2 == 0:
             _raise_cells(lattice, errors, table, threads)
         elif has_curvatures:
@@ -83,6 +83,7 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
     rows, band = errors[parts[read_group]].reshape(-1, row_size), max(1, BAND // row_size)
     south = np.empty((0, row_size), np.uint8)  # the old codes of the row of pages south of a band
     for first in range(0, len(rows), band):
+        # The band's old codes, with one row of pages before it and one after it for the neighbours.
         old_codes = np.concatenate([south, rows[first : first + band + 1]])
         old_cells = stored_at(lattice, lattice.cell_depth)
         old_cells.base = -(first - len(south)) * row_size  # entry of `old_codes` for the image's first row
@@ -90,6 +91,7 @@ def _raise_cells(lattice: Lattice, errors: np.ndarray, table: np.ndarray, thread
         for group in range(lattice.groups, read_group + 1):  # errors of cells, and their curvatures if there are any
             cells = stored_at(lattice, lattice.cell_depth)
             cells.base = parts[group].start
+            # By code that is read: the code of `factor` times its error in the group's own table.
             translated = codes.translation(table[read_group], table[group], factor=factor)
             inputs = [old_cells, flat(old_codes, wp.uint8), cells, flat(translated, wp.uint8), flat(errors, wp.uint8)]
             from_row, end = first * PAGE, min((first + band) * PAGE, cells.rows)

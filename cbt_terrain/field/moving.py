@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Move of the stores of one folder into another, with the shaped land and the baked maps beside them.
+"""Move of the stores of one folder into another, with the folders beside them: shaped land and baked maps.
+
+Shaped land is what height operators make of a store (STORE_land), baked maps are images of it.
 
 On one file system an entry is renamed. Across file systems it is copied under a private name, compared byte by byte,
 renamed, and the original removed. So an entry is complete in one of the two folders at any moment, and an interrupted
@@ -51,7 +53,8 @@ def move_stores(old: Path, new: Path) -> MovedStores:
     moved = MovedStores()
     for folder in (old, new):
         partial_files.remove_abandoned(folder)  # leftovers of a killed move
-    for name in sorted(os.listdir(old), key=lambda name: (name.endswith(BESIDE), name)):  # stores first
+    # Stores first, since each takes the folders beside it along, which are then not in `old` any more.
+    for name in sorted(os.listdir(old), key=lambda name: (name.endswith(BESIDE), name)):
         if partial_files.is_partial_name(name) or not os.path.lexists(old / name):
             continue
         try:
@@ -64,10 +67,10 @@ def move_stores(old: Path, new: Path) -> MovedStores:
 
 
 def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
-    """Move a store or another entry, under its old name if that is free, and the folders that belong to it.
+    """Move a store or another entry, under its old name or the next free one, and the folders that belong to it.
 
-    A folder of shaped land or maps is moved only with its store or when that is gone. moved: gets the name of a store.
-    new: the folder to move into.
+    A folder of shaped land or maps (its name is that of its store and an ending of BESIDE) is moved only with its store
+    or when that is gone. moved: gets the name of a store. new: the folder to move into.
     """
     ending = next((ending for ending in BESIDE if entry.name.endswith(ending)), "")
     if ending:
@@ -75,6 +78,7 @@ def _move_with_folders(entry: Path, new: Path, moved: MovedStores) -> None:
             _merge(entry, new / entry.name)
         return
     is_store = (entry / store_folder.JSON_NAME).is_file()
+    # The first name that is free: `_try_move` returns False for a name that is taken.
     target = next(path for path in map(new.joinpath, names_of(entry.name)) if _try_move(entry, path))
     moved.stores += [target.name] if is_store else []
     for ending in BESIDE:
@@ -122,14 +126,16 @@ def names_of(name: str) -> Iterator[str]:
 def find_moved(path: str, new: Path) -> str:
     """Return the path in the folder `new` of an entry that `path` named in the old folder; "" if there is none.
 
-    path: in any system's notation. The last two names of the old folder are those of `new`. A move takes the first free
-    name of a store, so of several that exist the last one is meant.
+    path: in any system's notation. Two folders in it that are named like `new` and its parent end the path of the old
+    folder, so the next name is the entry's. If that was taken in `new`, the move gave the store the first free name
+    (`names_of`), so the last one that exists is returned.
     """
     parts = path.replace("\\", "/").split("/")
     entry_indices = [index for index in range(2, len(parts)) if tuple(parts[index - 2 : index]) == new.parts[-2:]]
     if not entry_indices or {"", ".", ".."} & set(parts[entry_indices[-1] :]):
         return ""
     name, rest = parts[entry_indices[-1]], parts[entry_indices[-1] + 1 :]
+    # A folder that belongs to a store has the store's new name and the ending.
     ending, moved = next((ending for ending in BESIDE if name.endswith(ending)), ""), ""
     for store in names_of(name.removesuffix(ending)):
         if not os.path.exists(new / store):

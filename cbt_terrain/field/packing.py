@@ -33,23 +33,24 @@ def copy_store(
     source, target = Path(source), Path(target)
     content = stores.read_json(source)
     name = content["data"]
-    stores.open_store(source)
+    stores.open_store(source)  # raises unless the source is a complete store
     store_folder.check_target(target)
     if (target / store_folder.JSON_NAME).exists():
         target_content = stores.read_json(target)
-        if (target_content["key"], target_content["data"]) == (content["key"], name):
+        if (target_content["key"], target_content["data"]) == (content["key"], name):  # it is the copy already
             stores.open_store(target)
             return
         raise TerrainError(f"The folder {target} holds the store of another terrain", fix="choose another folder")
-    new_folders = store_folder.missing_folders(target)
-    part = target / store_folder.new_data_name()
-    lock = None
+    new_folders = store_folder.missing_folders(target)  # removed again after a failure
+    part = target / store_folder.new_data_name()  # the arrays' folder while they are copied
+    lock = None  # descriptor that keeps other processes from removing `part` as abandoned
     try:
         lock = partial_files.make_folder(part, parents=True)
         store_folder.remove_abandoned(target)
         _copy_arrays(source / name, part, on_progress)
         store_folder.remove_arrays(target / name)  # left by a killed copy
         os.rename(part, target / name)
+        # The arrays are complete; the JSON file, checked as a draft among them, makes the folder a store.
         text = read_regular(source / store_folder.JSON_NAME, store_folder.MAX_JSON_BYTES, links=False)
         draft = target / name / store_folder.JSON_NAME
         draft.write_bytes(text)

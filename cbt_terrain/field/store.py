@@ -162,7 +162,7 @@ def _open(path: Path, content: dict) -> HeightField:
     owned_files.check_no_link(folder, AGAIN)
     steps = codes.Steps(*content["steps"]) if content["steps"] else None
     kind = np.uint16 if steps else np.float32
-    numbers = {name: content[name] for name in _NUMBERS}
+    numbers = {name: content[name] for name in _NUMBERS}  # such as `exponents` and `min_height`
     raster = HeightRaster(
         map_array(folder / "samples.npy", shape, kind),
         lattice,
@@ -190,7 +190,7 @@ def is_intact(field: HeightField) -> bool:
     """Return whether the files that a field and its cache have mapped still have their length (`is_cut_off`)."""
     from . import finer_tiles
 
-    surfaces = field, *field.cache.surfaces.values()
+    surfaces = field, *field.cache.surfaces.values()  # `cache` has what was derived from the field, by kind
     arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
@@ -204,7 +204,7 @@ def is_intact(field: HeightField) -> bool:
     arrays += [array for tiles in finer.values() for array in tiles.arrays]
     if any(array is not None and is_cut_off(array) for array in arrays):
         return False
-    return all(map(is_intact, field.cache.anchored.values()))
+    return all(map(is_intact, field.cache.anchored.values()))  # the same field with another origin
 
 
 def data_folder(raster: HeightRaster) -> Path | None:
@@ -282,20 +282,20 @@ class Draft:
         }
         part = self.folder / JSON_NAME
         part.write_text(self._checked_text(content), encoding="utf-8")
-        check_version(self.path, part)
+        check_version(self.path, part)  # raises unless the store could be opened with the draft `part`
         previous = named_folder(self.path)
         with open_folder(self.path) as store, store.open_inner(self.folder.name) as arrays:
             store.replace(JSON_NAME, arrays, JSON_NAME)
         self.published = True
-        partial_files.end_work(self.folder, self._lock)
+        partial_files.end_work(self.folder, self._lock)  # release the folder's lock
         with suppress(OSError, NotOursError):  # a folder with files of the user stays
             if previous is not None:
                 remove_arrays(previous)
-        remove_abandoned(self.path, with_work=True)
+        remove_abandoned(self.path, with_work=True)  # also unfinished versions, which are of no use now
 
     def _checked_text(self, content: dict) -> str:
         """Return the JSON of a new version; `content` gets its "sum". Raises TerrainError if reading it would fail."""
-        try:
+        try:  # as `read_json` will find it: tuples become lists, for example
             content["sum"] = _sum_of(json.loads(json.dumps(content)))
             check_entries(json.loads(json.dumps(content)))
             text = json.dumps(content, indent=1, allow_nan=False)

@@ -40,7 +40,7 @@ def header(shape: tuple[int, ...], dtype: DTypeLike) -> bytes:
     descr, sizes = np.lib.format.dtype_to_descr(np.dtype(dtype)), tuple(map(int, shape))
     plain = {"descr": descr, "fortran_order": False, "shape": sizes}
     magic = np.lib.format.magic(1, 0)
-    text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"
+    text = repr(plain).encode().ljust(PAGE_BYTES - len(magic) - 3) + b"\n"  # 3: two bytes of length, one line end
     return magic + struct.pack("<H", len(text)) + text
 
 
@@ -127,8 +127,8 @@ def all_finite(array: np.ndarray) -> bool:
 def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Map an array copy-on-write: kernels use it like any other array, and nothing can change the file.
 
-    At most SAMPLED of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The walk
-    reads single pages, so reading ahead is switched off: it would read ten times as much.
+    At most SAMPLED of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault.
+    Refinement reads single pages, so reading ahead is switched off: it would read ten times as much.
     """
     array, sums = _map_unchecked(file, shape, dtype)
     count = len(sums)
@@ -160,9 +160,10 @@ def verify_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> int:
 
 
 def _map_unchecked(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> tuple[np.ndarray, np.ndarray]:
-    """Return the array of a file, mapped and copied on write, and its stored checksums, uint32.
+    """Return the array of a file, mapped and copied on write, and its stored checksums, uint32 [blocks].
 
-    Only header and length are checked. Raises FileNotFoundError, and TerrainError for any other fault.
+    Only the header (the first PAGE_BYTES) and the length are checked, not the checksums. Raises FileNotFoundError, and
+    TerrainError for any other fault.
     """
     dtype = np.dtype(dtype)
     nbytes = int(np.prod(shape, dtype=object)) * dtype.itemsize

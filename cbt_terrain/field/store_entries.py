@@ -111,7 +111,7 @@ def _is_layers(value: JsonValue) -> bool:
 
 
 def _is_place(value: JsonValue) -> bool:
-    """Return whether a value is a Place of georeference.py that can be inverted."""
+    """Return whether a value has the six numbers of an affine map from metres to coordinates that can be inverted."""
     if not isinstance(value, list) or len(value) != 6 or not all(map(_is_number, value)):
         return False
     a, b, _, d, e, _ = value
@@ -119,7 +119,7 @@ def _is_place(value: JsonValue) -> bool:
 
 
 def _is_finer(value: JsonValue) -> bool:
-    """Return whether a value has the number of finer tiles and their numbers (finer_tiles.py)."""
+    """Return whether a value describes finer tiles: number, bits, and the scales of their errors and ranges."""
     if not isinstance(value, dict) or sorted(value) != ["bits", "exponent", "range_base", "range_step", "tiles"]:
         return False
     bits, tiles = value["bits"], value["tiles"]
@@ -169,7 +169,7 @@ _OPTIONAL: dict[str, _Entry] = {
 def check_entries(content: dict) -> None:
     """Raise ValueError that names the first entry of store.json that is missing, invalid or contradicts others.
 
-    Entries that are in neither table are ignored.
+    _ENTRIES must be there, _OPTIONAL may be; each has a test and a text for the expected value. Others are ignored.
     """
     for name, (is_valid, expected) in (_ENTRIES | {k: v for k, v in _OPTIONAL.items() if k in content}).items():
         if name not in content:
@@ -181,7 +181,8 @@ def check_entries(content: dict) -> None:
         raise ValueError(f"its 'min_height' {low} is above its 'max_height' {high}")
     lattice = fit(**content["lattice"])
     extent = lattice.step_x * lattice.width + lattice.step_y * lattice.height
-    # The largest possible error; on the border of a hole it is a length in the plane.
+    # The largest possible error, with a margin far above the rounding of heights; on the border of a hole it is a
+    # length in the plane.
     limit = exponent_of(LARGEST_ERROR * (high - low) + 1e-3 * max(abs(low), abs(high)) + extent)
     if len(exponents) != lattice.groups + 1 or max(exponents) > limit:
         raise ValueError(f"its 'exponents' are {exponents}, expected {lattice.groups + 1} of {limit} at most")

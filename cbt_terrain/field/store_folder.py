@@ -43,7 +43,8 @@ _AHEAD = re.compile(r"[0-9]{1,9}\.tile|wanted\.json")
 def check_target(path: str | os.PathLike) -> None:
     """Raise TerrainError unless a store may be written at `path`: a new folder, an empty one, or a store.
 
-    Folders of arrays of this program, and any files in a folder of shaped land, do no harm.
+    Folders of arrays of this program do no harm, nor do any files in the folder of a store that height operators have
+    made from another one (`is_land`).
     """
     folder = Path(path)
     check_path("The store", path)
@@ -59,7 +60,7 @@ def check_target(path: str | os.PathLike) -> None:
             return
         if not folder.is_dir():
             raise TerrainError(f"The store {folder} is a file, not a folder", fix="choose another name")
-        others = [] if is_land(folder) else foreign(folder)  # a user's file beside shaped land stays there
+        others = [] if is_land(folder) else foreign(folder)  # files of the user that do not belong to a store
         if others and (folder / JSON_NAME).exists():
             return  # another process has written a store meanwhile
     except OSError as reason:
@@ -78,9 +79,9 @@ def is_land(folder: Path) -> bool:
 
 
 def foreign(folder: Path) -> list[Path]:
-    """Return the entries of a folder without store.json, and of its folders of arrays, that this program did not write.
+    """Return the sorted entries that this program did not write, of a folder and of the folders of arrays in it.
 
-    Their paths are sorted.
+    folder: one that holds no store.json.
     """
     entries = []
     with suppress(FileNotFoundError):  # another import has just removed it
@@ -88,7 +89,7 @@ def foreign(folder: Path) -> list[Path]:
             if is_data_name(entry.name) and owned_files.is_real_folder(entry):
                 with suppress(FileNotFoundError):
                     entries += [inner for inner in entry.iterdir() if not is_array_file(inner)]
-            elif not is_array_folder(entry) and os.path.lexists(entry):
+            elif not is_array_folder(entry) and os.path.lexists(entry):  # else it was removed meanwhile
                 entries.append(entry)
     return sorted(entries)
 
@@ -205,8 +206,8 @@ def scratch_name(folder: str) -> str:
 def remove_abandoned(path: Path, with_work: bool = False) -> None:
     """Remove the folders of arrays that neither a living process nor store.json uses.
 
-    The file UNFINISHED_NAME of the version that store.json names is removed, too. with_work: also remove the folders
-    that could be completed; otherwise they are kept for WORK_SECONDS.
+    The folder that store.json names stays, but loses UNFINISHED_NAME: it is published, so its arrays are finished.
+    with_work: also remove the folders that could be completed; otherwise they are kept for WORK_SECONDS.
     """
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
         return  # a damaged store does not name the folder that it needs
@@ -217,7 +218,7 @@ def remove_abandoned(path: Path, with_work: bool = False) -> None:
             if _is_current(path, folder):
                 owned_files.remove_file(folder / UNFINISHED_NAME)
             if with_work or not _can_be_continued(folder):
-                token = folder.name.removeprefix(DATA_PREFIX)
+                token = folder.name.removeprefix(DATA_PREFIX)  # begins with the mark of the machine that wrote it
                 is_needed = functools.partial(_is_current, path, folder)
                 partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)
 

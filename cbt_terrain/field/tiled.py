@@ -9,9 +9,9 @@ largest second differences a along x, b along y and c mixed, the larger eigenval
 derivative in any direction.
 
 An image has rough and smooth parts. By subdivision a coarser net with half the pixels along each axis is exactly a net
-of all pixels, too: U d. The control heights of the difference bound the rest of the image. So each coarser net gives a
-split of the surface (detail_bounds.py): `far` is the sum of the ranges of the differences, curvature and slope are
-those of the coarser net. The choice of the net changes only how tight the bound is.
+of all pixels, too: U d. The control heights of the difference bound the remainder of the image. So each coarser net
+gives a split of the surface (detail_bounds.py): `far` is the sum of the ranges of the differences, curvature and slope
+are those of the coarser net. The choice of the net changes only how tight the bound is.
 """
 
 import hashlib
@@ -73,6 +73,7 @@ class Tiled:
         """
         nets, texel = _nets(self.image), self.size / self.image.values.shape[1]
         number = 0
+        # The shortest waves of a net are two of its pixels; a wave has to have at least EDGES_A_WAVE edges.
         while number + 1 < len(nets) and 2 * texel * 2**number < EDGES_A_WAVE * finest:
             number += 1
         return nets[number], texel * 2**number
@@ -92,9 +93,9 @@ class Tiled:
         return [DetailTerm(highest, steep, shortest=2 * texel, splits=splits)]
 
     def packed(self, finest: float) -> "tuple[kernels.PackedDetail, np.ndarray]":
-        """Return the detail as kernels read it, and its control heights for the amplitude 1, float32 [rows, columns].
+        """Return the detail as a structure of kernels, and its control heights, float32 [rows, columns], -1 to 1.
 
-        finest: metres of the shortest edges of meshes.
+        They are the net that suits a mesh with shortest edges of `finest` metres; `texel` is the metres of its pixels.
         """
         from ...kernels.field import detail as kernels
 
@@ -128,7 +129,7 @@ def _nets(image: Painted) -> tuple[_Net, ...]:
     bounds = [_bounds(net.astype(np.float64)) for net in heights]
     nets = []
     for k, values in enumerate(heights):
-        splits, far = [], 0.0  # with each coarser net's surface as the smooth part; far: range of the rest
+        splits, far = [], 0.0  # with each coarser net's surface as the smooth part; far: range of the remainder
         for j in range(k, len(heights)):
             side = 2.0 ** (j - k)  # metres between the pixels of net j
             curvature, steep, highest = bounds[j]
@@ -148,7 +149,8 @@ def _range(net: np.ndarray) -> float:
 def _halve_net(net: np.ndarray) -> np.ndarray:
     """Return control heights with half the pixels along both axes, whose surface is near that of `net`.
 
-    It lacks the waves of two pixels; meshes with long edges show it in place of `net`. Both sides of `net` are even.
+    A filter, with the weights DOWN along each axis, removes the waves of two pixels before every other one is taken.
+    Meshes with long edges show the result in place of `net`. Both sides of `net` are even.
     """
     for axis in (0, 1):
         net = add_up(weight * np.roll(net, 2 - k, axis) for k, weight in enumerate(DOWN))

@@ -28,6 +28,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     folder, block_counts = data_folder(field.raster), {}
     if folder is None:
         raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
+    # The store's own arrays have to be there; `derived` ones are checked if they are.
     arrays = {name: getattr(field, name) for name in ("samples", "error", "ranges", "valid")}
     arrays |= {layer_name(name): field.layers[name] for name in field.layers}
     if field.raster.finer is not None:
@@ -37,6 +38,7 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
         stopping.check()
         if array is not None:
             block_counts[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
+    # By the file's name, shape and dtype that it must have.
     derived = {f"{name}.npy": shape_and_dtype for name, shape_and_dtype in derived_shapes(field.lattice).items()}
     derived |= {f"pyramid_{name}.npy": derived["pyramid.npy"] for name in field.layers}
     finer = field.raster.finer
@@ -50,7 +52,8 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     masks = {"masks": field.samples.shape, "mask_maxima": (int(mask_levels(field.lattice)[-1]),)}
     for prefix, shape in masks.items():
         for file in sorted(file for file in folder.glob(f"{prefix}_*.npy") if is_array_file(file)):
-            # The file's checksums are shorter than a mask.
+            # The file is a header of PAGE_BYTES, the masks and checksums that are shorter than one mask, so its length
+            # gives the number of masks.
             num_masks = max(1, (os.lstat(file).st_size - PAGE_BYTES) // math.prod(shape))
             derived[file.name] = (num_masks, *shape), np.uint8
     for name, (shape, dtype) in derived.items():

@@ -10,10 +10,10 @@ import numpy as np
 from .height_operator import OperatorGround
 from .levels import finer
 
-# A gain is removed from deposits within 2^4 samples, the rest of it within 2^5, then 2^6. The last rest is so small
+# A gain is removed from deposits within 2^4 samples, the remainder within 2^5, then 2^6. The last remainder is so small
 # that the halo of a tile may be shorter: tiles lose or gain up to 1e-4 of the moved material.
 HALVINGS = 4, 5, 6
-# A rest below this fraction of all deposits is rounding.
+# A remainder below this fraction of all deposits is rounding.
 ROUNDING = 1e-7
 
 
@@ -37,32 +37,37 @@ def balance_mass(
         max_eroded: largest erosion of each sample.
         change: change of this level before the correction; it includes `deposited`.
         net: the coarser level's change, interpolated to this level. Its sum over that level's samples is 0.
-        ground: this level or tile; only its position in the whole level is read.
+        ground: this level or tile. Only its position in the whole level is read: `first`, row and column of its first
+            sample, and `rims`, whether its south, north, west and east side is the raster's border and no cut.
     """
-    # gain: metres by which samples rise above the coarser change, summed to a level that is `gathered` halvings coarser
-    without_deposits = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
+    # gain: material to remove, metres by which samples rise above the coarser change; negative where some is missing.
+    # It is summed to the samples of a level that is `gathered` halvings coarser.
+    # other_change: sum of the change without deposits, which the last step needs.
+    other_change = change.sum(dtype=np.float64) - deposited.sum(dtype=np.float64)
     padding = [(first % (1 << HALVINGS[-1]), 0) for first in ground.first]  # aligns the grids of tiles and of the whole
     unpadded = tuple(slice(start, None) for start, _ in padding)
-    deposited, gain, gathered = np.pad(deposited, padding), np.pad(change - _complete(net, ground), padding), 0
-    for halvings in HALVINGS:  # take gains from the deposits nearby, and give them losses; the rest from farther away
+    expected = _complete(net, ground)  # the coarser change with what interpolation lost at the raster's borders
+    deposited, gain, gathered = np.pad(deposited, padding), np.pad(change - expected, padding), 0
+    # Remove gains from deposits within 2^4 samples, or add to them; what remains is balanced within 2^5, then 2^6.
+    for halvings in HALVINGS:
         available, gain = _gather(deposited, halvings), _gather(gain, halvings - gathered)
         fraction, gathered = _clipped_ratio(gain, available), halvings
         gain = gain - fraction * available
         deposited = deposited - _interpolate(fraction, deposited.shape, halvings) * deposited
     deposited, eroded_before = deposited[unpadded], eroded
-    # Erode more where a gain remains, at most twice as much, and less where a loss does.
+    # Where material must still be removed, erode up to twice as much (`sign` 1); where it is missing, less (-1).
     if abs(gain).sum() > ROUNDING * deposited.sum(dtype=np.float64):
         for sign, available in ((1.0, np.minimum(eroded, max_eroded - eroded)), (-1.0, eroded)):
             available = np.pad(available, padding)
             fraction = _clipped_ratio(np.maximum(sign * gain, 0.0), _gather(available, gathered))
             added = np.float32(sign) * _interpolate(fraction, available.shape, gathered) * available
             eroded = eroded + added[unpadded]
-    # Of a whole raster, deposits far away make up for the rest: nothing was near enough, or the coarser level's sum was
-    # not exactly 0.
+    # Of a whole raster, deposits far away make up for the remainder: nothing was near enough, or the coarser level's
+    # sum was not exactly 0.
     if all(ground.rims):
         total = deposited.sum(dtype=np.float64)
-        without_deposits -= (eroded - eroded_before).sum(dtype=np.float64)
-        deposited = deposited - np.float32(_clipped_ratio(without_deposits + total, total)) * deposited
+        other_change -= (eroded - eroded_before).sum(dtype=np.float64)
+        deposited = deposited - np.float32(_clipped_ratio(other_change + total, total)) * deposited
     return deposited, eroded
 
 
@@ -102,7 +107,8 @@ def _complete(net: np.ndarray, ground: OperatorGround) -> np.ndarray:
     """Return an interpolated change, metres, with the material added that interpolation loses at the raster's borders.
 
     Along an axis a coarser sample has the weights 1/2, 1 and 1/2 at finer ones, 2 in all. At the border it has finer
-    samples on one side only (1 1/2 in all), or is beyond the last of them (1/2).
+    samples on one side only (1 1/2 in all), or is beyond the last of them (1/2). Only the sides with `ground.rims` are
+    the raster's border; the others are cuts of a tile.
     """
     net, rims = net.copy(), ground.rims
     for axis, (start, end) in enumerate((rims[:2], rims[2:])):

@@ -4,7 +4,7 @@
 A derived store is in the folder next to its source (land_folder.py) and is named for the content of the source and the
 stack. So the settings alone decide which land is shown: Undo brings back the one before at once, and terrains with
 equal settings share one. Everything in the folder can be rebuilt, so a store that fails a check is removed and built
-again.
+again. A `Land` is a source's store with a stack; `open_field` opens the height field of a store in a folder.
 """
 
 import errno
@@ -32,7 +32,7 @@ from .requested_tiles import SeenTiles, Tiles
 from .shape_process import ShapeJob, shape_store
 from .stack import Stack, land_name
 
-OpenField = Callable[[str], HeightField]
+OpenField = Callable[[str], HeightField]  # opens the store in a folder
 
 DAMAGED = "land.damaged"  # code of the error for a derived store that was removed: the caller asks again
 MAX_BYTES = 8 << 30  # of the derived stores of one source
@@ -107,7 +107,7 @@ class Land:
 
     @property
     def in_shots(self) -> "Land":
-        """Return the land that shots need: with only the parts in view fine, or whole if that costs less."""
+        """Return the land that shots (camera moves) need: fine only in their views, or whole if that costs less."""
         if self.folder not in _costs_less_whole:
             lattice = shaping_cost.lattice_of(self.source)
             _costs_less_whole[self.folder] = shaping_cost.costs_less_whole(lattice, self.stack)
@@ -133,7 +133,7 @@ def use(user: int, land: Land) -> None:
     """Note that a user wants this land: it is not removed as old, and is rebuilt if it is damaged.
 
     It replaces the land that this user wanted before. user: any number that identifies it, as the session_uid of an
-    object.
+    object. land: not one of views; both of its folders then count as in use.
     """
     if _in_use.get(user) != land.folder:
         _in_use[user] = land.folder
@@ -148,7 +148,7 @@ def release(user: int) -> None:
 
 
 def is_in_use(folder: str | os.PathLike) -> bool:
-    """Return whether a user wants the land in a folder, by whatever path."""
+    """Return whether a user wants the land in a folder, whole or fine only in views, also through a link."""
     return os.path.realpath(folder).removesuffix(OF_VIEWS) in map(os.path.realpath, list(_in_use.values()))
 
 
@@ -180,7 +180,7 @@ def raster_of(store: str, land: Land | None, open_field: OpenField, verified: bo
         return _open(store, open_field)
     if not land.waits and not land.is_shaped:
         return build_preview(land, open_field).field
-    # Land of views may lack tiles of this request although it is usable.
+    # Land shaped only where views see it (`seen`) may lack tiles of this request although it is usable.
     if land.waits and (land.seen or not is_usable(land, open_field)):
         with _shaping:  # two renders of one land shape it once
             _shape(land, open_field)
@@ -211,7 +211,7 @@ def _shape(land: Land, open_field: OpenField) -> None:
         try:
             shape_store(land.source, land.stack, land.folder, wanted, tell, tiles=land.tiles)
         finally:
-            tell(1.0, "")
+            tell(1.0, "")  # ends the display of progress, also after an error
         finish_shaping(land, wanted)
         counts["stores"] += 1
 
@@ -256,7 +256,7 @@ def has_tiles(land: Land, wanted: Tiles | None, open_field: OpenField) -> bool:
 def wanted_tiles(land: Land, open_field: OpenField) -> Tiles | None:
     """Return the tiles that the land's views need, None if all land is to be fine.
 
-    open_field: opens a store's height field.
+    The result has for each level {tile: allowed error in metres}. open_field: opens a store's height field.
     """
     return None if land.seen is None else land.seen.tiles(open_field(land.source))
 
@@ -339,7 +339,7 @@ def _remove_damaged(store: str, fault: TerrainError | None = None) -> TerrainErr
 
     if not _is_rebuilt_here(store):
         return None
-    changed = stores.changed_ns(store)
+    changed = stores.changed_ns(store)  # time of its last change, 0 if it is gone
     if fault is None:
         try:
             verify(store)

@@ -2,7 +2,10 @@
 """Droplets: short gullies and small fans from rain that runs a few hundred metres, for use after rivers.
 
 A mask scales erosion; deposition follows from it. Droplets start in tiles of four colours: tiles of one colour, which
-do not touch, run in parallel, the colours one after another.
+do not touch, run in parallel, the colours one after another. `ground` is the operator's input, a level or a tile of it:
+heights in metres, `missing` (holes), `mask`, `first`, row and column of its first sample in the whole level, and
+`target`, rows and columns whose change is needed. `launch.spread` runs a kernel for a number of items, each of which
+takes `cost` times 15 ns.
 """
 
 import math
@@ -33,8 +36,9 @@ TURN, LOAD, DRY, BRUSH, CAPACITY = 12.0, 120.0, 600.0, 16.0, 250.0
 def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change | None) -> Change:
     """Return the change of heights that erosion by droplets makes at a level, with sediment and wear as layers.
 
-    coarser: the change of the next coarser level, interpolated to this one. It is used only on levels finer than
-    FINEST_STEP; other levels are independent of each other. values: the operator's parameters by name.
+    Levels with a spacing above COARSEST_STEP times the droplets' reach are too coarse and stay unchanged. coarser: the
+    change of the next coarser level, interpolated to this one. Levels finer than FINEST_STEP only smooth it. The others
+    do not use it, as gullies are elsewhere on each level. values: the operator's parameters by name.
     """
     if coarser is not None and max(ground.step_x, ground.step_y) < FINEST_STEP:
         change = _smooth(coarser.heights, ground.missing)
@@ -103,9 +107,11 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     rain.height, rain.width = ground.heights.shape
     rain.first_row, rain.first_column = ground.first
     rain.step_x, rain.step_y, rain.stride = ground.step_x, ground.step_y, stride
-    rain.steps = max(1, int(values["reach"] / stride))  # the largest number of a droplet
+    rain.steps = max(1, int(values["reach"] / stride))  # of each droplet, at most
+    # Radius of the brush in samples.
     rain.brush_x, rain.brush_y = (max(1, round(0.5 * BRUSH / step)) for step in (ground.step_x, ground.step_y))
-    # More than twice as far as a droplet with its last brush can reach, in samples.
+    # More than twice as far as a droplet with its last brush can reach, in samples; 3 for that brush, which is wider,
+    # and for rounding to samples.
     rain.rows, rain.columns = (
         math.ceil(2.0 * (rain.steps * stride / step + brush + 3.0))
         for step, brush in ((ground.step_y, rain.brush_y), (ground.step_x, rain.brush_x))
@@ -117,9 +123,10 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Dropl
     # Each simulated droplet carries the load of those that are left out.
     rain.capacity = CAPACITY * values["strength"] * per_sample / max(simulated, 1e-12)
     rain.sea = values["sea"]
-    # Fractions that a step leaves; float32, since the last bit of exp differs between machines.
+    # Fractions that a step leaves of the direction, of the missing load and of the water, from the metres in which each
+    # falls to 1/e; float32, since the last bit of exp differs between machines.
     inertia, load_left, water_left = (float(np.float32(math.exp(-stride / length))) for length in (TURN, LOAD, DRY))
-    rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF
+    rain.seed = (ground.seed * 0x9E3779B9) & 0xFFFFFFFF  # an odd factor, which spreads seeds over all 32 bits
     rain.inertia, rain.load, rain.dry = inertia, 1.0 - load_left, 1.0 - water_left
     return rain
 
@@ -135,6 +142,8 @@ def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarr
         ground.first, ground.heights.shape, ground.whole_shape, (rain.rows, rain.columns), target, strict=True
     ):
         last = min(first + count, whole) - 1
+        # Tile t has the samples t * side to (t + 1) * side - 1 of the level, and its droplets reach half a tile
+        # further. `first`, `count`: samples of the window; `window`: its target.
         tiles_along = np.arange(first // side, last // side + 1)
         reach = side // 2
         rows_and_columns.append(tiles_along)
@@ -142,8 +151,9 @@ def _tiles(rain: "kernels.DropletRain", ground: OperatorGround) -> list[np.ndarr
             ((tiles_along + 1) * side > first + window.start - reach)
             & (tiles_along * side < first + window.stop + reach)
         )
-    needed = np.logical_and.outer(*within_reach)
-    # A tile reads its neighbours of earlier colours. Colours are 0 to 3, in the order in which they run.
+    needed = np.logical_and.outer(*within_reach)  # both the row and the column of a tile are within reach
+    # A tile reads its neighbours of earlier colours. Colours run in the order 0 to 3: 0 and 1 in even rows of tiles, 3
+    # and 2 in odd ones.
     odd_row, odd_column = (n % 2 for n in np.meshgrid(*rows_and_columns, indexing="ij"))
     colours = 2 * odd_row + (odd_row ^ odd_column)
     for colour in (3, 2, 1):
@@ -165,13 +175,16 @@ def _halo(values: Mapping[str, float], step: float) -> float:
     Droplets that reach the target start within half a side of it, the earlier tiles that affect them are at most two
     tiles further, and these read half a side beyond. step: metres between samples.
     """
-    if step < FINEST_STEP:
+    if step < FINEST_STEP:  # no droplets run, gullies of the coarser level are smoothed
         return 2.0 * step
     return 8.0 * (values["reach"] + max(0.5 * BRUSH, step) + 5.0 * step)
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a funnel fills from its flanks and conserves mass, and that a plain does not change."""
+    """Assert that a funnel fills from its flanks and conserves mass, and that a plain does not change.
+
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
+    """
     x = np.abs(np.arange(65, dtype=np.float32) - 32.0)
     far = np.maximum(x[:, None], x)
     change = evaluate("droplets", 10.0 + 5.0 * far, step=10.0).heights

@@ -54,8 +54,8 @@ def export_raster(
     files = {name: file.with_name(f"{file.stem}_{name}{file.suffix}") for name in names or known}
     if HEIGHTS in files:
         files[HEIGHTS] = file
-        field.raster.check_samples()
-    WRITERS[file.suffix.lower()](field, Path(store), files, on_progress, step)
+        field.raster.check_samples()  # raises TerrainError for a height that is not finite
+    WRITERS[file.suffix.lower()](field, Path(store), files, on_progress, step)  # the function for this format
     return list(files.values())
 
 
@@ -106,7 +106,7 @@ def _write_exr(rows: ExportedRows, strips: Iterable[np.ndarray], path: Path) -> 
                     exr.add(strip[..., None])
                 exr.close()
             finally:
-                exr.abandon()
+                exr.abandon()  # closes the file after an error
     except OSError as reason:
         raise unwritable(str(path), reason) from reason
 
@@ -116,7 +116,8 @@ def _write_tiffs(
 ) -> None:
     """Write heights and layers as GeoTIFF files in a child process, since GDAL is not loaded in Blender.
 
-    files: the file of each, by HEIGHTS or its name. Raises TerrainError.
+    files: the file of each, by HEIGHTS or its name. step: metres between samples, 0 for the raster's. Raises
+    TerrainError. `_field`, the open store, is for formats that this process writes.
     """
     paths = {name: str(path) for name, path in files.items()}
     request = {"store": str(store.absolute()), "files": paths, "step": step}
@@ -247,7 +248,7 @@ def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -
     """Write the requested GeoTIFFs in the child process, since rasterio must not be loaded into Blender.
 
     A request has `raws`, files of raw samples to convert, or a `store` with the files of its layers. Return the files
-    of the store that were written, [] for `raws`.
+    of the store that were written, [] for `raws`. tell(fraction, message) reports progress.
     """
     child.end_with_parent()
     if "raws" in request:
@@ -260,7 +261,8 @@ def _answer(request: dict, tell: Tell, _may_start_threads: Callable[[], None]) -
     for number, (name, path) in enumerate(request["files"].items()):
         rows = ExportedRows(field, name, request["step"])
         transform, crs = _georeference(field, request["store"], rows.axes)
-        shape = RasterShape(rows.axes[0].inside, rows.axes[1].inside, transform[:6], crs, missing, name)
+        width, height = (axis.inside for axis in rows.axes)  # numbers of columns and rows
+        shape = RasterShape(width, height, transform[:6], crs, has_missing=missing, name=name)
         _write_tiff(Path(path), _strips(rows, number, count, lambda fraction: tell(fraction, "Writing")), shape)
     return list(request["files"].values())
 
@@ -275,7 +277,8 @@ def _raw_strips(path: str, shape: RasterShape) -> Iterator[np.ndarray]:
 def _write_tiff(path: Path, strips: Iterable[np.ndarray], shape: RasterShape) -> None:
     """Write a raster to a GeoTIFF. Raises TerrainError.
 
-    strips: arrays of LINES rows, from the north; the last may be shorter.
+    strips: arrays of LINES rows, from the north; the last may be shorter. shape: the raster's size, georeference, name,
+    and whether it has missing samples (NaN).
     """
     import rasterio
     from rasterio.transform import Affine

@@ -46,7 +46,8 @@ def with_shaped_tiles(
     Args:
         shaped: bilinear, on the source's lattice, without finer tiles.
         source: before shaping; without finer tiles the result is `shaped`.
-        allocate, on_progress: as in `with_finer_tiles`.
+        allocate: allocate(name, shape, dtype) returns a zeroed array, or one that an earlier attempt has left.
+        on_progress: gets the finished fraction.
         cache: keeps measured tiles, so that neither a killed run nor another stack that leaves a tile as it is
             measures it again.
 
@@ -58,7 +59,7 @@ def with_shaped_tiles(
 
     def read(box: TileBox) -> np.ndarray:
         """Return the finer heights of a tile after shaping. box: in finer samples, 2^bits to a side of a cell."""
-        number = finer.numbers[box.y0 // SIDE, box.x0 // SIDE]
+        number = finer.numbers[box.y0 // SIDE, box.x0 // SIDE]  # index of this tile, SIDE samples wide, in the heights
         # A stored tile has one more sample before its first row and column.
         heights = finer.heights[number, 1 : box.y1 - box.y0 + 2, 1 : box.x1 - box.x0 + 2]
         x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
@@ -67,12 +68,12 @@ def with_shaped_tiles(
             raise not_finite()
         return found
 
-    known, records = finer.known, CachedRecords(cache)
+    known, records = finer.known, CachedRecords(cache)  # known: the tiles with finer heights
     return with_finer_tiles(shaped, finer.bits, known, read, threads, allocate, on_progress, records)
 
 
 def raster_part(source: HeightField) -> float:
-    """Return the part of the time of measuring errors that the raster takes: 1 without finer tiles."""
+    """Return the fraction of the time of measuring errors that the raster takes: 1 without finer tiles."""
     raster = source.lattice.width * source.lattice.height
     tiles = len(source.raster.finer.heights) if source.raster.finer is not None else 0
     return raster / (raster + COST * SIDE * SIDE * tiles)
@@ -99,6 +100,7 @@ class CachedRecords(FinerRecords):
     Heights are computed again, which takes a sixth of the time.
     """
 
+    # Shape and type of the array of each kind of record.
     SHAPES = {
         LIMITED: ((2,), np.float32),
         MEASURED: ((int(kernels.ERRORS),), np.uint8),
@@ -111,7 +113,8 @@ class CachedRecords(FinerRecords):
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the record of a tile and a function that returns its array (None for limits), if the cache has them.
 
-        kind: LIMITED, MEASURED or RANGED. inputs: digest of all that determines the result. place: unused.
+        kind: LIMITED, MEASURED (errors) or RANGED. inputs: digest of all that determines the result. place: unused, as
+        equal inputs give equal results. A record has the limits, or as `sums` the checksum of the array.
         """
         if kind in self.SHAPES:
             found = self._cache.find(kind, _key(kind, inputs), *self.SHAPES[kind])
@@ -123,6 +126,7 @@ class CachedRecords(FinerRecords):
     def note(self, kind: str, place: Tile, array: np.ndarray | None = None, **values: Any) -> None:
         """Write the limits, errors or ranges of a tile into the cache.
 
+        kind: LIMITED, MEASURED (errors) or RANGED; others, as heights, have no array and are not cached. place: unused.
         values: `inputs`, the digest of all that determines them, and `limits` for LIMITED. array: of the other kinds.
         """
         if kind == LIMITED:

@@ -40,7 +40,10 @@ def fitted(stack: Stack, low: float, high: float) -> Stack:
         return mask and replace(mask, rules=tuple(map(adapt_rule, mask.rules)))
 
     def adapt_parameters(entry: Entry) -> Mapping[str, float]:
-        """Return the parameters with heights moved and rates scaled to the relief, within their ranges."""
+        """Return the entry's parameters for the other land, within their ranges.
+
+        Parameters of HEIGHTS are moved by `move_height`; those of RATES are multiplied by `ratio`, of both reliefs.
+        """
         adapted = dict(entry.parameters)
         for parameter in entry.declaration.parameters:
             key = entry.effect, parameter.name

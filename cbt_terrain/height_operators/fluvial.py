@@ -8,6 +8,10 @@ creep. Incision is the implicit step of Braun and Willett (2013), deposition fol
 of a hillslope makes the result converge with the spacing; without it every halving adds as much relief as the last.
 Boundaries: `fixed` samples keep their heights and let water leave; at `border` samples water leaves above
 `outlet_level`.
+
+A `Drainage` is where water flows: `to`, direction of each sample's receiver; `order`, samples with donors before
+receivers; `catchments`, drainage areas in samples; `base`, 1 where water leaves (border and fixed samples).
+`launch.spread` runs a kernel for a number of items, each of which takes `cost` times 15 ns; `launch.once` for one item.
 """
 
 from collections.abc import Mapping
@@ -111,7 +115,8 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
     before, drainage = bed.heights, bed.drain(_noise_of_step(bed, number))
     raised = drainage.heights if not bed.uplift.any() else drainage.heights + np.float32(years) * bed.uplift
     bed.heights = raised.copy()
-    river, water_surface = _incise(bed, drainage, years, values)  # no surface without deposition
+    # `river`: the kernels' arrays, which deposition uses, too. Without deposition no surface is computed.
+    river, water_surface = _incise(bed, drainage, years, values)
     load = None if water_surface is None else _deposit(bed, drainage, river, raised, water_surface, years)
     uplift = np.float32(years) * bed.uplift[bed.border]
     bed.heights[bed.border] = raised[bed.border] = before[bed.border] + uplift  # was raised to outlet_level
@@ -124,17 +129,18 @@ def step(bed: Bed, years: float, values: Mapping[str, float], number: int) -> np
 def curvature_of(bed: Bed) -> np.ndarray:
     """Return the Laplacian of the heights, float32 [n], 1/m, 0 along the border and at fixed samples."""
     h, laplacian = bed.heights.reshape(bed.shape), np.zeros(bed.shape, np.float32)
-    middle = h[1:-1, 1:-1]
+    middle = h[1:-1, 1:-1]  # differences to it are small numbers, which float32 rounds less than sums of heights
     laplacian[1:-1, 1:-1] = ((h[1:-1, 2:] - middle) - (middle - h[1:-1, :-2])) / np.float32(bed.step_x**2)
     laplacian[1:-1, 1:-1] += ((h[2:, 1:-1] - middle) - (middle - h[:-2, 1:-1])) / np.float32(bed.step_y**2)
     return np.where(bed.fixed, np.float32(0.0), laplacian.reshape(-1))
 
 
 def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.ndarray | None) -> None:
-    """Diffuse the bed's heights at `rate`, m2 a year, and at least by MIN_CREEP (less in shorter steps).
+    """Diffuse the bed's heights at `rate`, m2 a year, during `years`.
 
-    The surplus of MIN_CREEP preserves the ground's initial curvature where it is bare of sediment and of lakes. base:
-    uint8 [n], 1 where heights stay. filled: float32 [n] m, surface of lakes, or None. years: length of the step.
+    The product is raised to at least MIN_CREEP squared samples (less in steps shorter than CREEP_YEARS). The added part
+    does not smooth the ground's initial curvature, where no sediment or lake covers the ground. base: uint8 [n], 1
+    where heights stay. filled: float32 [n] m, surface of lakes, or None.
     """
     spread = years * rate
     surplus = max(MIN_CREEP * bed.step_x * bed.step_y * min(years / CREEP_YEARS, 1.0) - spread, 0.0)
@@ -149,6 +155,7 @@ def _creep(bed: Bed, years: float, rate: float, base: np.ndarray, filled: np.nda
 def vary_rock(bed: Bed, variety: float) -> None:
     """Multiply the erodibility by noise, so that rivers are not alike. variety: standard deviation of its logarithm."""
     grid = grid_of(*bed.shape, bed.step_x, bed.step_y)
+    # Noise of ROCK_OCTAVES octaves, the longest with waves of ROCK metres, at the same positions on every level.
     position = [wp.vec2i(*bed.first), wp.vec2d(bed.step_x, bed.step_y), ROCK, ROCK_OCTAVES]
     # The kernel multiplies by about exp(2 * strength * noise), so its strength is half the variety.
     inputs = [grid, *position, 0.5 * variety, wp.uint32(bed.seed & 0xFFFFFFFF), flat(bed.erodibility, wp.float32)]
@@ -158,7 +165,7 @@ def vary_rock(bed: Bed, variety: float) -> None:
 
 def _noise_of_step(bed: Bed, number: int) -> ReceiverNoise:
     """Return the noise of the receivers in step `number`, the same for a sample in every tile."""
-    noise = ReceiverNoise()
+    noise = ReceiverNoise()  # the odd factors below spread seeds and steps over all 32 bits
     noise.jitter, noise.seed = JITTER, (bed.seed * 0x9E3779B1 + number * 0x85EBCA77 + 1) & 0xFFFFFFFF
     noise.row, noise.column = bed.first
     return noise
@@ -172,7 +179,7 @@ def _incise(
     The state is an input of `_deposit`. The water surface, float32 [n] in metres, is computed only with deposition,
     otherwise it is None. values: the operator's parameters by name.
     """
-    r, (rows, columns) = kernels.River(), bed.shape
+    r, (rows, columns) = kernels.River(), bed.shape  # r: parameters and arrays for the kernels
     rate = np.empty_like(bed.heights)  # samples that erosion travels upstream in the step
     filled = np.empty_like(rate) if values["deposition"] > 0.0 else None
     r.grid, r.lakes, r.deposition = drainage.grid, int(filled is not None), values["deposition"]
@@ -204,12 +211,12 @@ def diffuse(
     of the change in metres that explicit steps leave out; None for none.
     """
     ew, ns = spread / bed.step_x**2, spread / bed.step_y**2  # diffusion numbers along both axes
-    rounds = int(np.ceil((ew + ns) / CREEP))
+    rounds = int(np.ceil((ew + ns) / CREEP))  # explicit steps, of a diffusion number of at most CREEP to be stable
     (rows, columns), other = bed.shape, values.copy()
     soil, run = creep_kernels.Soil(), partial(launch.spread, step="rivers", threads=bed.threads)
     soil.grid = grid_of(rows, columns, bed.step_x, bed.step_y)
     soil.base, soil.weight = flat(still, wp.uint8), flat(weight, wp.float32)
-    if rounds > MAX_ROUNDS:
+    if rounds > MAX_ROUNDS:  # one implicit step, along columns and then along rows
         soil.ew, soil.ns = ew, ns
         soil.scratch, soil.change, soil.h = (flat(a, wp.float32) for a in (other, np.empty_like(values), values))
         blocks = -(-columns // BLOCK)
@@ -219,7 +226,7 @@ def diffuse(
     soil.ew, soil.ns = ew / max(rounds, 1), ns / max(rounds, 1)
     preserved = np.zeros_like(values) if preserved is None else preserved / np.float32(max(rounds, 1))
     soil.preserved = flat(preserved, wp.float32)
-    for _ in range(rounds):
+    for _ in range(rounds):  # explicit steps from one array to the other
         soil.old, soil.h = flat(values, wp.float32), flat(other, wp.float32)
         run(creep_kernels.creep, rows - 2, [soil], cost=columns / 16)
         values, other = other, values
@@ -231,21 +238,22 @@ def _deposit(
 ) -> np.ndarray:
     """Deposit sediment along the rivers and in lakes, which raises the bed; return each sample's load, float64 [n].
 
-    A load is metres of sediment times samples. raised: heights after uplift, before the incision. filled: water's
-    surface. Both are float32 [n] m. years: length of the step.
+    A load is metres of sediment times samples. river: the kernels' arrays, from `_incise`. raised: heights after
+    uplift, before the incision. filled: water's surface. Both are float32 [n] m. years: length of the step.
     """
     load = np.zeros(len(filled)) if bed.inflow is None else bed.inflow * years
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.weight > 0.0)
     river.raised, river.load = flat(raised, wp.float32), flat(load, wp.float64)
-    launch.once(kernels.deposit, [river], step="rivers")
+    launch.once(kernels.deposit, [river], step="rivers")  # changes the bed's heights and adds to `load`
     _level_lake_beds(bed, lake, raised)
     return load
 
 
 def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
-    """Spread the sediment in lakes towards level beds, in SETTLING pairs of passes for each distance of APART.
+    """Spread the sediment in lakes towards level beds.
 
-    It moves the bed's heights; `step` updates its sediment. lake: bool [n], no sample of the border. raised: heights
+    Samples 4, then 2, then 1 apart (APART) exchange sediment along rows and columns, in SETTLING pairs of passes each.
+    This moves the bed's heights; `step` updates its sediment. lake: bool [n], no sample of the border. raised: heights
     after uplift, before the incision, float32 [n] m.
     """
     wet = np.flatnonzero(lake)
@@ -254,6 +262,7 @@ def _level_lake_beds(bed: Bed, lake: np.ndarray, raised: np.ndarray) -> None:
     rock[wet], sediment[wet], scratch[wet] = bed.heights[wet] - before, before, before
     arrays = [flat(a, wp.float32) for a in (rock, sediment, scratch)]
     for apart in APART:
+        # Lake samples with only lake between them and their partners.
         open_water = _away_from_shore(lake.reshape(bed.shape), apart - 1).reshape(-1)
         segments = (flat(ends, wp.int32) for ends in _segments(open_water))
         inputs = [SETTLING, bed.shape[1], apart, *segments, flat(open_water.view(np.uint8), wp.uint8), *arrays]
@@ -267,7 +276,7 @@ def _segments(lake: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Segments have more than GAP dry samples between them. lake: bool [n].
     """
     samples = np.flatnonzero(lake).astype(np.int32)
-    last = np.diff(samples, append=np.int32(2**31 - 1)) > GAP + 1
+    last = np.diff(samples, append=np.int32(2**31 - 1)) > GAP + 1  # appended so that the very last one ends a segment
     first = np.roll(last, 1)  # the sample after a last one, and the very first
     return samples[first], samples[last]
 

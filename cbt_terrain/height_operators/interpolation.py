@@ -25,7 +25,8 @@ def finer_change(
 ) -> np.ndarray:
     """Return the change that `add_change` makes, exactly 0 where the change around it is 0.
 
-    Arguments are those of `add_change`.
+    source: heights at the positions. before, change: heights and their change of the coarse level. rows, columns:
+    positions of the source's samples in that level, float64.
     """
     _, mean, _, clipped = _parts(source, before, change, rows, columns)
     return mean - clipped
@@ -37,9 +38,11 @@ def _parts(
     """Return the interpolated coarse ground and change, and the source's detail above that ground, float32 m.
 
     The last array is the detail that the change removes: all of it, within the extremes of the change around it.
-    Arguments are those of `add_change`.
+    source: heights at the positions. before, change: heights and their change of the coarse level. rows, columns:
+    positions of the source's samples in that level, float64.
     """
     ground, mean = interpolate(before, rows, columns), interpolate(change, rows, columns)
+    # Smallest and largest change around: `of` combines the values of a coarse sample and its neighbours.
     low, high = (interpolate(_extreme(of, change), rows, columns) for of in (np.minimum, np.maximum))
     detail = source - ground
     return ground, mean, detail, np.clip(detail, mean - high, mean - low)

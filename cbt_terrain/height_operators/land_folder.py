@@ -48,8 +48,8 @@ def records(provenance: dict, folder: str, source_key: str) -> bool:
     """Return whether a store records that it is the land its folder is named for.
 
     Return False for an older record, and for land that is not fine everywhere though its folder is not of views.
-    provenance: the store's. folder: where it is. source_key: key of the source, the store beside. Raises TerrainError
-    for the store of another terrain, which this program did not make for that folder.
+    provenance: the store's. folder: where it is. source_key: content key of the source's store. Raises TerrainError for
+    the store of another terrain, which this program did not make for that folder.
     """
     shaped, name = provenance.get("shaped"), Path(folder).name
     if isinstance(shaped, dict):

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The plan of a run: how each operator is applied at each level, to which tiles, and its estimated cost."""
+"""The plan of applying a stack: how each operator is applied at each level, to which tiles, and its estimated cost.
+
+An *entry* is one operator of the stack with its parameters, here numbered by its index. Its *halo* is what it reads
+around a tile. Tiles are blended with their neighbours over BAND samples on both sides of their borders, so a tile is
+computed BAND samples wider than it is.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -61,18 +66,19 @@ class LevelPlan:
     def how(self, number: int, level: Level) -> str:
         """Return how an entry is applied at a level: WHOLE, TILES or UPSAMPLED.
 
-        A request for tiles is computed in tiles even if it lists all of them, so that the tiles of a shot do not change
-        once it sees every one.
+        A request for tiles is computed in tiles even if it lists all of them, so that tiles in view of a moving camera
+        do not change once it has seen every one.
         """
         entry = self.entries[number]
         # `finest`: largest side of levels that the operator is applied to, 0 for no limit.
         finest, longer = entry.declaration.finest, max(level.shape)
         if finest and longer > finest and level is not self.levels[-1]:
             return UPSAMPLED
+        # Levels that are small or narrow (`is_whole`) always come in one piece, others on request or after a doubt.
         one_piece = self.wants_whole[level.number] or number in self.doubted
         if level.is_whole or (one_piece and longer <= MAX_WHOLE):
             return WHOLE  # the halos of all tiles would be several times the work
-        if self.halo(entry, level) is not None:
+        if self.halo(entry, level) is not None:  # else the operator reads the whole level
             return TILES
         return WHOLE if longer <= MAX_WHOLE_FOR_TILES else UPSAMPLED
 
@@ -92,9 +98,10 @@ class LevelPlan:
         return runs
 
     def margins(self, level: Level, numbers: Sequence[int]) -> list[tuple[int, int]]:
-        """Return the rows and columns around a tile that each entry of a run reads, and last those of the result.
+        """Return how many rows and columns around a tile each entry of a run reads, and last those of its result: BAND.
 
-        Each entry computes the region that the next one reads. numbers: the run's entries, by index.
+        Each entry computes the region that the next one reads, so the first one reads the widest: with halos of 5 and 2
+        rows [BAND + 7, BAND + 2, BAND]. numbers: the run's entries, by index.
         """
         margins = [(BAND, BAND)]
         for number in reversed(numbers):
@@ -123,7 +130,7 @@ class LevelPlan:
                 entry, how = self.entries[number], self.how(number, level)
                 if how == WHOLE:
                     self.costs[number] += self.cost(entry, level.whole)
-                elif how == TILES:  # every tile is counted like the first
+                elif how == TILES:  # every tile is counted like the first; UPSAMPLED costs nothing
                     self.costs[number] += len(tiles) * self.cost(entry, level.window(min(tiles), *margin))
 
     def choose_tiles(self, level: Level, max_change: np.ndarray | None, uncertain: np.ndarray | None) -> list[int]:

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs of entries at one level: one operator over the whole level, or several in each tile.
 
-Tiles are blended into the interpolated change of the coarser level.
+An *entry* is an operator of the stack with its parameters, numbered by its index. Its change is a list of arrays:
+heights, layers and, except at level 0, state for the next finer level. `land` has the result of all entries so far: the
+sum of their changes of heights (`total`) and their layers, in a window of the level. Tiles are blended into the
+interpolated change of the coarser level, over BAND samples on both sides of their borders.
 """
 
 import time
@@ -76,7 +79,8 @@ class LevelRun:
         """Apply the run's entries to the level, add their changes to `land`, and return changes and statistics.
 
         Changes of level 0 are not returned for a run in tiles, since no finer level reads them. tiles: tiles to
-        compute, unless the run is applied to the whole level. Raises Finished if the caller needs no finer levels.
+        compute, unless the run is applied to the whole level. land: the land of the whole level. Raises Finished if the
+        caller needs no finer levels.
         """
         entry = self.shaping.entries[self.numbers[0]]
         if self.shaping.plan.how(self.numbers[0], self.work.level) != WHOLE:
@@ -112,9 +116,11 @@ class LevelRun:
             entry = self.shaping.entries[number]
             assert arrays is not None  # the coarsest level is computed as a whole
             mask, count = self.work.mask(entry, land), num_arrays(entry.declaration, level)
-            change = [finer(array, level.shape) for array in arrays[:count]]
-            # A mask that reads the whole level starts a run, so that only the first one is reused for tiles.
+            change = [finer(array, level.shape) for array in arrays[:count]]  # `count` omits the state at level 0
+            # Only the first entry's mask may read the whole level, so it alone is reused for tiles (`_compute_tile`).
             first_mask = mask if number == self.numbers[0] else first_mask
+            # Add the interpolated change to the land, as if no tile were computed: `accumulate` adds the layers and
+            # returns the masked heights.
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
             changes += [change] if level.number else []  # no finer level reads those of level 0
         sums = [TileSums.zeros(level) for _ in self.numbers]
@@ -156,6 +162,7 @@ class LevelRun:
             assert arrays is not None
             entry, window = self.shaping.entries[number], land.window
             mask = mask if number == self.numbers[0] else self.work.mask(entry, land)
+            # The entry reads `window` and computes `target`, which the next one reads; `inner` is it within `window`.
             inner = within(target, window)
             coarser = np.stack([finer_window(array, *window) for array in arrays])
             change = coarser[(slice(num_arrays(entry.declaration, level)), *inner)]
@@ -163,12 +170,14 @@ class LevelRun:
                 cost = self.shaping.plan.cost(entry, window)
                 report = self.shaping.progress(cost, level, entry)
                 report(0.0)
-                # A mask of 0 everywhere spares the work.
+                # A mask of 0 everywhere spares the work, unless the operator applies it itself (`masks`). `_counted`
+                # adds the time of the block to the statistics.
                 if mask is None or entry.declaration.masks or mask[inner].any():
                     with _counted(self.shaping, entry, entry_sums, cost):
                         change = apply_tile(self.work, entry, land, mask, coarser, target, report)
                 self.shaping.done += cost
             land, mask = land.crop(target), None if mask is None else mask[inner]
+            # Statistics are of what this level adds to the interpolated heights.
             entry_sums.add(level, tile, change[0] - coarser[0][inner], mask, target)
             land.total = land.total + self.work.accumulate(entry, change, mask, land)
             changes.append(change[(slice(None), *within(windows[-1], target))])
@@ -176,7 +185,10 @@ class LevelRun:
 
 
 def _upsample(arrays: Arrays, shape: tuple[int, int]) -> np.ndarray:
-    """Interpolate a coarser change to float32 [arrays, rows, columns], one array at a time to save memory."""
+    """Interpolate a coarser change to float32 [arrays, *shape], one array at a time to save memory.
+
+    shape: rows and columns of the finer level.
+    """
     fine = np.empty((len(arrays), *shape), np.float32)
     for result, array in zip(fine, arrays, strict=True):
         result[...] = finer(array, shape)

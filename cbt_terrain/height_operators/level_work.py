@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One height operator at one level: its input for a tile or the whole level, and its result, cached by content."""
+"""One height operator at one level: its input for a tile or the whole level, and its result, cached by content.
+
+An *entry* is an operator of the stack with its parameters and mask. `land` has the changes and layers of those before.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -88,8 +91,8 @@ class LevelWork:
     def mask(self, entry: Entry, land: LandWindow) -> np.ndarray | None:
         """Return an entry's mask over the land that the entries before it left, float32 [rows, columns]; None without.
 
-        land: the window that it is computed for; the whole level if rules read forms of the
-            ground such as curvature or flow (`LevelPlan.runs`).
+        land: the window that it is computed for; the whole level if rules read forms of the ground such as curvature or
+        flow (`LevelPlan.runs`).
         """
         if entry.mask is None:
             return None
@@ -133,8 +136,8 @@ class LevelWork:
     def _layer(self, name: str, land: LandWindow) -> np.ndarray:
         """Return a layer as an operator finds it, float32 [rows, columns] in the layer's unit.
 
-        What earlier operators of the stack have left is added to the source's layer if it is a depth, and replaces it
-        if it is a state.
+        The layer of earlier operators of the stack is added to the source's if it is a depth (`self.depths`), and
+        replaces it if not.
         """
         current, source = land.layers.get(name), self.source.layers.get(name)
         source = None if source is None else source[land.window]
@@ -176,7 +179,7 @@ def _result_key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None
     effect = entry.declaration
     method = METHOD, kind, key_name(effect.name), effect.version, sorted(entry.values.items()), ground.seed
     position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
-    mask = ground.mask if effect.masks else None
+    mask = ground.mask if effect.masks else None  # the caller applies the mask of other operators to the result
     arrays = [ground.heights, ground.missing, mask, coarser]
     layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
     return compute_digest(method, position, *arrays, *layers)
@@ -194,7 +197,7 @@ def _layer_names(effect: HeightOperator) -> list[str]:
 
 
 def num_arrays(effect: HeightOperator, level: Level) -> int:
-    """Return the number of arrays of a change: heights, layers and, but at level 0, the operator's state."""
+    """Return the number of arrays of a change: heights, layers and, except at level 0, the operator's state."""
     return 1 + len(effect.layers) + (len(effect.state) if level.number else 0)
 
 
@@ -223,10 +226,11 @@ def apply_whole(
     coarser: np.ndarray | None,
     report: Report,
 ) -> np.ndarray:
-    """Apply an operator to a whole level and return its change, packed, float32 [arrays, rows, columns].
+    """Apply an operator to a whole level, or take its change from the cache.
 
-    coarser: its change at the next coarser level, interpolated to this one; None at the coarsest. mask: weights 0
-    to 1, None for 1.
+    Returns the change as float32 [arrays, rows, columns]: heights, layers, then state for the next finer level.
+    coarser: the change at the next coarser level, interpolated to this one; None at the coarsest. mask: weights 0 to 1,
+    None for 1. report: gets the finished fraction.
     """
     effect, level = entry.declaration, work.level
     count = num_arrays(effect, level)
@@ -249,10 +253,11 @@ def apply_tile(
     target: Window,
     report: Report,
 ) -> np.ndarray:
-    """Apply an operator to a tile and return its change, packed, float32 [arrays, rows, columns] of `target`.
+    """Apply an operator to a tile, or take its change from the cache.
 
-    target: window of the level whose change is needed, inside that of `land`. mask, coarser: weights, and the change of
-    the next coarser level, interpolated; both in the window of `land`.
+    Returns the change as float32 [arrays, rows, columns] of `target`: heights, layers, then state for the next finer
+    level. target: window of the level whose change is needed, inside that of `land`. mask, coarser: weights, and the
+    change of the next coarser level, interpolated; both in the window of `land`. report: gets the finished fraction.
     """
     effect = entry.declaration
     count = num_arrays(effect, work.level)

@@ -34,9 +34,10 @@ def coarser(samples: np.ndarray) -> np.ndarray:
 
 
 def finer_window(samples: np.ndarray, rows: slice, columns: slice) -> np.ndarray:
-    """Return a window of the result of `finer` for a whole level, bit for bit, without computing the rest.
+    """Interpolate the samples of a level to a window of the next finer level.
 
-    rows, columns: the window, of the finer level.
+    The result has the bits of that window of `finer`, which interpolates the whole level. rows, columns: the window in
+    the finer level.
     """
     south, west = rows.start // 2, columns.start // 2
     # One coarse sample after the last row and column, as odd ones are between two coarse samples.

@@ -104,7 +104,7 @@ def compute_mask(
     """
     window, attributes = window or level.whole, attributes or {}
     out = np.full([part.stop - part.start for part in window], mask.factor, np.float32)
-    for first in range(0, len(out), BAND_ROWS):
+    for first in range(0, len(out), BAND_ROWS):  # bands of rows, so that temporary arrays are small
         rows = slice(first, min(first + BAND_ROWS, len(out)))
         level_rows = slice(window[0].start + rows.start, window[0].start + rows.stop)
         if image is not None:
@@ -166,7 +166,7 @@ def _weigh_ground(
         if rule.of == HEIGHT:
             out *= _weigh_interval(ground[inner], rule.low, rule.high, rule.edge)
         elif rule.of == SLOPE:
-            out *= _weigh_mapped(tangent, rule, _tangent)  # limits are in degrees
+            out *= _weigh_mapped(tangent, rule, _tangent)  # `_tangent` maps the limits, in degrees, to slopes
         else:
             # Aspect is the cosine of the angle between downhill and the rule's direction.
             angle = math.radians(rule.direction)
@@ -192,16 +192,16 @@ def _weigh_attribute(rule: GroundRule, values: np.ndarray) -> np.ndarray:
         return _weigh_interval(values, rule.low, rule.high, rule.edge)
     # Limits become exponents of ten, as the edge is.
     low, high = (math.log10(limit) if limit > 0.0 else -math.inf for limit in (rule.low, rule.high))
-    return _weigh_mapped(values, replace(rule, low=low, high=high), _power)
+    return _weigh_mapped(values, replace(rule, low=low, high=high), _power)  # `_power` turns exponents into limits
 
 
 def _weigh_mapped(values: np.ndarray, rule: GroundRule, to_value: Callable[[float], float]) -> np.ndarray:
-    """Weigh values by limits and edges in degrees or as exponents of ten, which `to_value` maps to values.
+    """Weigh values by a rule's limits and edge in degrees or as exponents of ten, which `to_value` maps to values.
 
     Only limits are mapped, and each half of an edge is interpolated in the values: functions of all values would have
     last bits that differ between machines.
     """
-    half = 0.5 * rule.edge
+    half = 0.5 * rule.edge  # for each limit the values at the start, in the middle and at the end of its edge
     low, high = ([to_value(limit + side) for side in (-half, 0.0, half)] for limit in (rule.low, rule.high))
     return _step_through(values, low) * _step_through(-values, [-limit for limit in reversed(high)])
 

@@ -60,11 +60,14 @@ def child_main() -> None:
 
 
 def _read(request: dict, *_: object) -> list[int]:
-    """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns."""
+    """Convert a mask image to a float32 array file, values 0 to 1, in a child process; return its rows and columns.
+
+    request: `file`, the image; `folder` and `key`, folder and name of the array file.
+    """
     path, array_file = Path(request["file"]), Path(request["folder"]) / f"{request['key']}.npy"
-    guard([path], array_file.parent)
+    guard([path], array_file.parent)  # gives up all other rights than reading it and writing into that folder
     child.end_with_parent()
-    raster = open_source(ImportSettings(str(path), encoding=PLAIN))
+    raster = open_source(ImportSettings(str(path), encoding=PLAIN))  # colours are not coded heights
     try:
         if raster.width * raster.height > MAX_SAMPLES:
             raise TerrainError(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Attributes that mask rules read: scalars of attributes/ that depend on heights alone, and layers.
 
-They are computed from an operator's input ground at the spacing of the level. Layers come from earlier operators of the
-stack or from the source.
+Those of SHAPES are computed from an operator's input ground at the spacing of the level. BY_PRODUCTS are layers, which
+come from earlier operators of the stack or from the source.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -39,7 +39,7 @@ def values_of(
     from ..attributes.evaluate import on_samples
 
     results = {name: layers[name] for name in names if name in BY_PRODUCTS}
-    requests = [AttributeRequest(name, ()) for name in names if name in SHAPES]
+    requests = [AttributeRequest(name, readers=()) for name in names if name in SHAPES]
     if requests:
         field = _field(level, np.ascontiguousarray(heights(level.whole)), missing)
         results |= {request.name: np.empty(level.shape, np.float32) for request in requests}

@@ -16,7 +16,8 @@ PREPARING = "Preparing kernels"
 def kernels_of(stack: Stack) -> list[ModuleType]:
     """Return the modules of kernels of a stack's operators and of the attributes that its masks read."""
     rules = [rule for entry in stack.active if entry.mask is not None for rule in entry.mask.rules]
-    read = plan(AttributeRequest(rule.of, ()) for rule in rules if rule.of in SHAPES)
+    # SHAPES are the attributes that kernels compute; others are by-products of operators.
+    read = plan(AttributeRequest(rule.of, readers=()) for rule in rules if rule.of in SHAPES)
     launched = [module for entry in stack.active for module in entry.declaration.kernels]
     return warmup.import_kernels([*launched, *kernels_of_steps(read)])
 

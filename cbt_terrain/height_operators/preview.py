@@ -100,9 +100,10 @@ def preview(
     check_by_products(stack, source.layers)
     level = levels_of(source.lattice)[-1]
     states = _apply_entries(source, level, stack, images or {}, threads, seconds)
-    lattice, positions = source.lattice, _positions(source)
+    lattice, positions = source.lattice, _positions(source)  # rows and columns in the source of the preview's samples
     rows, columns = (position / (1 << level.number) for position in positions)  # in samples of the coarsest level
-    heights = add_change(_source_heights(source), states[0].ground.heights, states[-1].change, rows, columns)
+    before, change = states[0].ground.heights, states[-1].change  # of the coarsest level
+    heights = add_change(_source_heights(source), before, change, rows=rows, columns=columns)
     step_y = lattice.step_y * (lattice.height - 1) / (len(positions[0]) - 1)
     step_x = lattice.step_x * (lattice.width - 1) / (len(positions[1]) - 1)
     if source.valid is not None:
@@ -120,7 +121,8 @@ def preview(
     left_out = stack.active[len(states) - 1 :]
     left_out_entry = (left_out[0].name or left_out[0].declaration.label) if left_out else ""
     ms = [state.ms for state in states[1:]]  # states[0] is the ground before the first entry
-    return Preview(result, ms, max(level.step_x, level.step_y), left_out_entry, build_ms)
+    step_m = max(level.step_x, level.step_y)
+    return Preview(result, ms=ms, step_m=step_m, left_out_entry=left_out_entry, build_ms=build_ms)
 
 
 def _apply_entries(
@@ -131,7 +133,7 @@ def _apply_entries(
     States are cached by content, so that a changed entry starts from the one before it. images: values of mask
     images by file. seconds: the limit.
     """
-    prepare(stack)
+    prepare(stack)  # loads or compiles the kernels, which the time limit does not include
     end = time.monotonic() + seconds
 
     def check_time(_fraction: float) -> None:

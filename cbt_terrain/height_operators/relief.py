@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Relief finer than the data: rock, gullies and ledges below the spacing of the source."""
+"""Relief finer than the data: rock, gullies and ledges below the spacing of the source.
+
+`ground` is the operator's input, a level or a tile of it: heights in metres, `missing` (holes), layers, and `first`,
+row and column of its first sample in the whole level. `launch.spread` runs a kernel for a number of items, each of
+which takes `cost` times 15 ns.
+"""
 
 import math
 from collections.abc import Mapping
@@ -34,6 +39,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
     from ...kernels.land.relief import add_relief
 
     heights = np.ascontiguousarray(ground.heights)
+    # Parameters of the noise, and the position of these samples in the level, which decides its values.
     noise, window = _noise(ground, values), _window(ground, values)
     added = np.empty_like(heights)
     rows, columns = heights.shape
@@ -42,7 +48,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
         count, cost = min(BLOCK_ROWS, rows - first), 2.0 * (noise.octaves + 1) * columns
         launch.spread(add_relief, count, inputs, step="relief", threads=ground.threads, cost=cost)
         ground.progress((first + count) / rows)
-    if "sediment" in ground.layers:
+    if "sediment" in ground.layers:  # hides it, all of it from BURIED metres on
         added *= np.clip(1.0 - ground.layers["sediment"] * np.float32(1.0 / BURIED), 0.0, 1.0, dtype=np.float32)
     if ground.missing is not None:
         added[ground.missing] = 0.0
@@ -50,9 +56,9 @@ def apply(ground: OperatorGround, values: Mapping[str, float], _coarser: Change 
 
 
 def _noise(ground: OperatorGround, values: Mapping[str, float]) -> "ReliefNoise":
-    """Return the parameters of the noise for kernels; octaves end at waves of two samples.
+    """Return the parameters of the noise and of the beds of rock for kernels; octaves end at waves of two samples.
 
-    values: the operator's parameters by name.
+    Beds dip in the direction DIP_TO (east, north). values: the operator's parameters by name.
     """
     from ...kernels import wp
     from ...kernels.land.relief import ReliefNoise
@@ -84,15 +90,18 @@ def _window(ground: OperatorGround, values: Mapping[str, float]) -> "Window":
     return window
 
 
-def _example(shape: Evaluate) -> None:
-    """Assert that level ground stays, and that roughness and rock beds have their heights."""
-    level = shape("relief", np.full((40, 50), 300.0), 10.0, plains=0.0)
+def _example(evaluate: Evaluate) -> None:
+    """Assert that level ground stays, and that roughness and rock beds have their heights.
+
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
+    """
+    level = evaluate("relief", np.full((40, 50), 300.0), step=10.0, plains=0.0)
     assert not level.heights.any()
     slope = 4.0 * np.arange(200)[None, :] + np.zeros((150, 1))
-    rough = shape("relief", slope, 10.0, wave=160.0, roughness=0.3).heights
+    rough = evaluate("relief", slope, step=10.0, wave=160.0, roughness=0.3).heights
     # 24 m: the roughness over half a wave; 0.4: the slope.
     assert 0.02 * 24.0 * 0.4 < rough.std() < 24.0 * 0.4
-    beds = shape("relief", slope, 10.0, wave=20.0, roughness=0.0, plains=0.0, beds=60.0, dip=0.0).heights
+    beds = evaluate("relief", slope, step=10.0, wave=20.0, roughness=0.0, plains=0.0, beds=60.0, dip=0.0).heights
     assert 2.0 < np.abs(beds).max() < 60.0
 
 

@@ -3,6 +3,15 @@
 
 Water leaves at the border of a level. At the cut of a tile the coarser level's water surface and drainage area tell
 where water and sediment enter; none leaves there. Without them a lake would leave over the lowest sample of the cut.
+
+A `Bed` is the state of this level or tile, arrays of n samples in C order. `fixed`: samples that do not change and let
+water leave; `border`, `outlet_level`: samples where water leaves only above a height; `cell_weight`: upstream samples
+that a sample stands for; `inflow`: sediment that enters.
+
+A `_Coarse` is the coarser level in the tile: `odd`, row and column, 0 or 1, of its first sample among this level's;
+`flow`, drainage area in samples of this level; `load`, sediment; `wet`, in a lake; `inside`, away from the cut; `to`,
+the D8 direction of the receiver, 4 for the sample itself. A `_Ring` are its samples along the sides of the tile, in
+order. `rims` of the ground tell whether its south, north, west and east side is the raster's border and no cut.
 """
 
 from collections.abc import Callable
@@ -69,6 +78,7 @@ def border_motion(bed: "Bed", origin: np.ndarray, coarser: Change | None, years:
         motion = origin[border] + coarser.heights.reshape(-1)[border] - bed.heights[border]
         bed.uplift[border] = motion / np.float32(max(years, 1.0))
         return lambda: None  # the steps move it
+    # The sample inside of each border sample.
     inner = np.clip(j, 1, max(rows - 2, 0)) * columns + np.clip(i, 1, max(columns - 2, 0))
     lowest = origin[border].min()
 
@@ -127,12 +137,13 @@ def set_boundary(bed: "Bed", ground: OperatorGround, coarser: Change) -> None:
     if all(ground.rims):  # no side is a cut
         return
     coarse = _coarse_samples(bed, ground, coarser)
+    # Water and sediment that enter, at this level's samples; the coarse samples that are inside or whose water enters.
     cell_weight, load, comes_in = _inflow(coarse, bed.shape)
     # The outermost coarse samples with known receivers, shut where water that is in no lake would enter the tile.
     at, cut = _around(coarse.to.shape, ground.rims, inset=1)
-    ring = _Ring(at, cut, (comes_in & ~coarse.wet)[at] & cut, coarse.flow[at])
+    ring = _Ring(at, cut, shut=(comes_in & ~coarse.wet)[at] & cut, flow=coarse.flow[at])
     # Water of a lake on the ring leaves only at its sample with the largest area, and not there if it comes in there.
-    for lake in _lakes(coarse, ring):
+    for lake in _lakes(coarse, ring):  # indices in the ring of one lake's samples
         largest = lake[np.argmax(ring.flow[lake])]
         j, i = (n[largest] for n in ring.at)
         ring.flow[lake] = ring.flow[largest]
@@ -163,7 +174,8 @@ def _inflow(coarse: _Coarse, shape: tuple[int, int]) -> tuple[np.ndarray, np.nda
         np.add.at(load, fine, sign * coarse.load[origins])
 
     y, x = _receivers(coarse)
-    # Water enters from a sample outside to its receiver inside; from a lake only to a larger drainage area.
+    # Water enters from a sample outside to its receiver inside. In a lake, whose directions follow the floor, only a
+    # larger drainage area shows that water really goes there.
     enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
     enters &= ~coarse.wet | (coarse.flow[y, x] > coarse.flow)
     add(enters, y, x)
@@ -187,31 +199,33 @@ def _coarse_samples(bed: "Bed", ground: OperatorGround, coarser: Change) -> _Coa
     from ..attributes.routing import route
 
     odd = ground.first[0] % 2, ground.first[1] % 2
-    coarse, samples_per_m2 = tuple(slice(n, None, 2) for n in odd), 1.0 / (ground.step_x * ground.step_y)
+    coarse = tuple(slice(n, None, 2) for n in odd)
     floor = np.ascontiguousarray((ground.heights + coarser.heights)[coarse])
     lake, fixed = coarser.state[LAKE][coarse], bed.fixed.reshape(bed.shape)[coarse]
     surface, wet = floor + lake, lake > 0.0
     steps = 2 * ground.step_x, 2 * ground.step_y
-    ways = (route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor))
+    by_surface, by_floor = (  # directions of receivers
+        route(heights, *steps, fixed, ground.threads).to.reshape(floor.shape) for heights in (surface, floor)
+    )
     inside = np.zeros(floor.shape, bool)  # two samples from cuts, as `_Coarse` explains
     south, north, west, east = (0 if border else 2 for border in ground.rims)
     inside[south : len(floor) - north, west : floor.shape[1] - east] = True
+    samples_per_m2 = 1.0 / (ground.step_x * ground.step_y)
     flow, load = (  # in samples of this level, and metres times these a year
         (array[coarse] * samples_per_m2).astype(np.float64) for array in (coarser.layers["flow"], coarser.state[LOAD])
     )
-    by_surface, by_floor = ways
-    to = np.where(wet, by_floor, by_surface).astype(int)
+    to = np.where(wet, by_floor, by_surface).astype(int)  # the surface of a lake is level, so its floor decides
     outermost, cut = _around(to.shape, ground.rims, inset=0)
     for j, i in zip(*(n[cut & ~fixed[outermost]] for n in outermost), strict=True):
         to[j, i] = _receiver_at_edge(j, i, surface, flow)
-    return _Coarse(odd, surface, flow, load, wet, inside, to)
+    return _Coarse(odd, surface=surface, flow=flow, load=load, wet=wet, inside=inside, to=to)
 
 
 def _receiver_at_edge(j: int, i: int, surface: np.ndarray, flow: np.ndarray) -> int:
     """Return the D8 direction of the receiver of an outermost sample, coarse row j and column i; 4 if there is none.
 
-    It is the neighbour with the least drainage area of those that have more than the sample and are no higher. surface:
-    metres. flow: drainage areas.
+    It is the neighbour with the least drainage area of those that have more than the sample and are no higher: area
+    grows downstream, so the next larger one is the next along a river. surface: metres. flow: drainage areas.
     """
     south, west = max(j - 1, 0), max(i - 1, 0)
     neighbours = np.s_[south : j + 2, west : i + 2]
@@ -238,10 +252,11 @@ def _around(shape: tuple[int, ...], rims: tuple[bool, ...], inset: int) -> tuple
 
 
 def _receivers(coarse: _Coarse) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column of each sample's receiver, that of `coarse.to` except in some lakes.
+    """Return row and column of each coarse sample's receiver: its neighbour in direction `to`, except in some lakes.
 
-    In a lake it leads along the floor to the outlet, which may be outside. If the drainage area of a lake's sample
-    outside does not grow that way, its neighbour inside with the largest one becomes its receiver.
+    In a lake `to` leads along the floor to the outlet, which may be outside of the tile. If a lake's sample outside has
+    a receiver with no larger drainage area, water cannot go there; then the neighbour inside with the largest drainage
+    area becomes its receiver.
     """
     y, x = np.indices(coarse.to.shape)
     y, x = neighbour(y, x, coarse.to)
@@ -285,22 +300,28 @@ def _max_along(flow: np.ndarray, reach: int) -> np.ndarray:
 
 
 def _close(bed: "Bed", ground: OperatorGround, coarse: _Coarse, ring: _Ring) -> None:
-    """Close border samples of a tile's bed to water, and set the levels above which it leaves at others.
+    """Close samples along a tile's cut to water, and set the levels above which it leaves at samples of lakes.
 
-    The level is WALL metres above the coarser surface at a closed sample, and that surface at an open one of a lake;
-    other samples have none. Samples near an inflow are closed too, since finer ground may dam it and lead it away; but
-    not where about as much leaves, as a river that winds along the cut would count with every bend. Then water is
-    routed, up to ROUNDS times, and those left open near an inflow are closed where more than MORE times the coarser
-    outflow leaves: a stream may leave to join one outside and come back with it, and a tile, which ends at the outlet,
-    would lose it.
+    The results are `bed.border` and `bed.outlet_level`. The level is WALL metres above the coarser surface at a closed
+    sample, and that surface at an open one of a lake; water leaves freely at other samples.
+
+    Closed are, in this order: (1) the samples that `ring.shut` marks, where water enters the tile, and all samples of a
+    lake but its outlet. (2) Samples within BESIDE of an inflow, because finer ground may dam the inflow and lead it
+    away; but not within WANDER of a coarser outflow that is not far smaller (LESS), as along a river that winds along
+    the cut. (3) Samples near an inflow where routing over the finer ground, up to ROUNDS times, finds more than MORE
+    times the coarser outflow: a stream that leaves to join one outside and comes back with it would be lost.
     """
     wet = coarse.wet[ring.at]
     may_close = ring.cut & ~ring.shut
+    # For each sample of the ring: the largest inflow and the largest coarser outflow nearby, as drainage areas.
     inflow = _max_along(np.where(ring.shut, ring.flow, 0.0), BESIDE)
     outflow = _max_along(np.where(may_close, ring.flow, 0.0), WANDER)
     may_close &= ~wet  # those of lakes are decided in `set_boundary`
+    # No water leaves near an inflow, unless a coarser outflow within WANDER has at least 1 / LESS of its area.
     shut = ring.shut | (may_close & (inflow > LESS * outflow))
+    # This level's samples along the cut, and the index in the ring of the coarse sample nearest to each.
     samples, ring_index = _samples_along_cut(bed, ground, coarse, ring)
+    # Close more, until the bed drains nowhere along the cut much more than the coarser level does.
     for _ in range(ROUNDS):
         is_border = (shut | wet)[ring_index]
         bed.border = samples[is_border]
@@ -321,7 +342,8 @@ def _samples_along_cut(
     Samples are numbers in the tile, in C order; both int64.
     """
     outermost, cut = _around(bed.shape, ground.rims, inset=0)
-    halves = ((n - odd + 1) // 2 for n, odd in zip(outermost, coarse.odd, strict=True))  # in coarse samples
+    # Coarse sample k is sample 2 k + odd, so the nearest one to n is (n - odd + 1) // 2; then the nearest of the ring.
+    halves = ((n - odd + 1) // 2 for n, odd in zip(outermost, coarse.odd, strict=True))
     nearest = tuple(np.clip(n, along.min(), along.max()) for n, along in zip(halves, ring.at, strict=True))
     ring_indices = np.zeros(coarse.to.shape, np.int64)
     ring_indices[ring.at] = np.arange(len(ring.flow))

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rivers: a terrain that ages, or a range that grows from uplift. fluvial.py has the equation and its step."""
+"""Rivers: a terrain that ages, or a range that grows from uplift. fluvial.py has the equation and its step.
+
+`ground` is the operator's input, a level or a tile of it: heights in metres, `missing` (holes), `mask`, layers, and
+`first`, row and column of its first sample in the whole level. A `Bed` is the state of a level while it is aged: arrays
+of n samples in C order, as heights, sediment and uplift.
+"""
 
 import math
 from collections.abc import Mapping
@@ -51,20 +56,20 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     from .fluvial import step
 
     years, steps = values["years"], min(max(math.ceil(values["years"] / STEP_YEARS), MIN_STEPS), MAX_STEPS)
-    if coarser is not None:
+    if coarser is not None:  # fewer years, and by level fewer steps
         years, steps = _years_again(ground, values), STEPS_AGAIN[min(_spacing_halvings(ground), len(STEPS_AGAIN)) - 1]
     bed, origin = _begin(ground, values, coarser)
     move_border = border_motion(bed, origin, coarser, years)
-    first_draw, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))
+    first_draw, load = 0 if coarser is not None else steps // 2, np.zeros(len(origin))  # load: sum of `step_load`
     for number in range(steps if years > 0.0 else 0):
         ground.progress(number / steps)
-        # At the coarsest level all steps of the first half have one noise of receivers (see SPREAD).
-        # `step_load`: metres times samples, None without deposition.
+        # At the coarsest level all steps of the first half have the noise of receivers of step `first_draw`: with new
+        # noise in each, straight valleys would win. `step_load`: metres times samples, None without deposition.
         step_load = step(bed, years / steps, values, max(number, first_draw))
         if step_load is not None and number >= steps // 2:  # the years that the finer level simulates again
             load += step_load
         move_border()
-    years_of_load = years * (1.0 - steps // 2 / steps)
+    years_of_load = years * (1.0 - steps // 2 / steps)  # those of the steps that `load` adds up
     return _change_of_bed(bed, ground, values, origin, load / max(years_of_load, 1e-9))
 
 
@@ -78,6 +83,7 @@ def _change_of_bed(
     """
     drainage, cell = bed.drain(), ground.step_x * ground.step_y
     change = bed.heights - origin
+    # Lowering of the rock, which is the ground without its sediment, relative to the uplift.
     wear = bed.uplift * np.float32(values["years"]) - change + bed.sediment
     for side in sides(bed.shape):  # bed.uplift is the given motion of the border there (`border_motion`), not of rock
         wear.reshape(bed.shape)[side] = (bed.sediment - change).reshape(bed.shape)[side]
@@ -102,7 +108,8 @@ def doubts(coarser: Change, change: Change, cell: float) -> bool:
 def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
     """Return the fraction of all water that is in big rivers which the other level lacks.
 
-    flow, other: drainage areas at both levels, float32 [rows, columns] in samples.
+    A river is big at samples with a drainage area above BIG. The other level lacks it if no drainage area within REACH
+    samples reaches 1 / ALIKE of it. flow, other: drainage areas at both levels, float32 [rows, columns] in samples.
     """
     j, i = np.nonzero(flow > BIG)
     water, padded, max_nearby = flow[j, i], np.pad(other, REACH), np.zeros(len(j), np.float32)
@@ -115,7 +122,8 @@ def _elsewhere(flow: np.ndarray, other: np.ndarray) -> float:
 def _years_again(ground: OperatorGround, values: Mapping[str, float]) -> float:
     """Return the years for which a finer level is aged again, after its start from the coarser change.
 
-    It halves with each level, and is limited by the time in which rivers shape the land.
+    At the first level below the coarsest it is a fraction AGAIN of all years, at most the time in which rivers shape
+    the land. It halves with each further level.
     """
     shaping = SHAPES_GROWN if values["rise"] > 0.0 else SHAPES_AGED
     longest = shaping / max(values["erodibility"], 1e-12)
@@ -142,13 +150,13 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     sea, shape, n = np.float32(values["sea"]), ground.heights.shape, ground.heights.size
     missing = np.zeros(n, bool) if ground.missing is None else ground.missing.reshape(-1)
     before = ground.heights.reshape(-1)
-    fixed = (before <= sea) | missing
-    origin = np.where(missing, before, np.maximum(before, sea))
+    fixed = (before <= sea) | missing  # the sea and holes do not change
+    origin = np.where(missing, before, np.maximum(before, sea))  # from which the change is counted
     mask = np.ones(n, np.float32) if ground.mask is None else ground.mask.reshape(-1).astype(np.float32)
     uplift = np.where(fixed, np.float32(0.0), np.float32(values["rise"]) * mask)
     # The layer is a factor on `rise`.
     uplift *= (ground.layers["uplift"] if "uplift" in ground.layers else _fade(ground)).reshape(-1)
-    for side in sides(shape):
+    for side in sides(shape):  # `border_motion` moves the border
         uplift.reshape(shape)[side] = 0.0
     bed = Bed(
         (shape[0], shape[1]),
@@ -158,7 +166,7 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
         sediment=np.zeros(n, np.float32),
         fixed=fixed,
         weight=mask,
-        erodibility=mask.copy(),
+        erodibility=mask.copy(),  # factor on the rate of erosion; `vary_rock` multiplies it by noise
         uplift=uplift,
         cell_weight=np.ones(n),  # `set_boundary` adds water from outside
         first=ground.first,
@@ -167,11 +175,13 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
     )
     bed.curvature = curvature_of(bed)  # of the ground before all steps, which creep preserves
     if coarser is not None:
-        # Fraction of the coarser change that is there when the years begin that this level simulates again.
+        # Start from a part of the coarser change, diffused so that valleys can find beds between the coarser samples.
+        # done: the part that is there when the years begin that this level simulates again.
         done = np.float32(1.0 - _years_again(ground, values) / max(values["years"], 1.0))
         change, sediment = _diffused_change(bed, coarser)
         bed.heights = np.where(fixed, origin, np.maximum(origin + done * change, sea))
         bed.sediment = np.where(fixed, np.float32(0.0), done * sediment)
+        # The diffused change dug trenches at cliffs; this fills them.
         _restore_cliffs(bed, ground, values, origin, done * coarser.heights)
         set_boundary(bed, ground, coarser)
         keep_outlets(bed, ground, coarser)
@@ -181,7 +191,10 @@ def _begin(ground: OperatorGround, values: Mapping[str, float], coarser: Change 
 
 
 def _fade(ground: OperatorGround) -> np.ndarray:
-    """Return a smooth factor from 0 at the border of the whole to 1 at FADE, float32 [rows, columns]."""
+    """Return a smooth factor from 0 at the raster's border to 1 inside, float32 [rows, columns].
+
+    It rises over FADE times the raster's shorter side.
+    """
     spacings = ground.step_y, ground.step_x
     sizes = ground.size or [(n - 1) * step for n, step in zip(ground.whole_shape, spacings, strict=True)]
     fade_width = FADE * min(sizes)
@@ -228,7 +241,8 @@ def _restore_cliffs(
     before = origin.reshape(bed.shape)
     after = np.maximum(before + change, np.float32(values["sea"]))
     drop = math.tan(math.radians(values["steepest"])) * max(bed.step_x, bed.step_y)
-    heights = limit_at_cliffs(bed.heights.reshape(bed.shape), before, after, ground.first, drop).reshape(-1)
+    heights = bed.heights.reshape(bed.shape)
+    heights = limit_at_cliffs(heights, before, after, first=ground.first, drop=drop).reshape(-1)
     heights = np.where(bed.fixed | (bed.weight == 0.0), bed.heights, heights)
     bed.sediment = bed.sediment + np.maximum(heights - bed.heights, np.float32(0.0))  # fills the trench
     bed.heights = heights
@@ -237,7 +251,8 @@ def _restore_cliffs(
 def example(evaluate: Evaluate) -> None:
     """Assert that an islet of one sample loses no less than erosion over a corner takes, and no more than over a side.
 
-    That is F / (1 + F) of its height in every step, with F of kernels/land/fluvial.py. Nothing else changes.
+    That is F / (1 + F) of its height in every step, F = K dt (A + A0)^(1/2) / dx. Nothing else changes.
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
     """
     heights = np.full((9, 9), -5.0, np.float32)
     heights[4, 4] = 8.0

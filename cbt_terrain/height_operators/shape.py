@@ -4,6 +4,9 @@
 An operator starts from its own change at the coarser level and reads the heights that earlier operators left at this
 level. Outside the requested tiles the changes of the coarser level are interpolated. Every tile is therefore a function
 of the samples in its window, the parameters and its position, and is cached by these (tile_cache.py).
+
+`shaping` holds the raster, the stack's active entries (operators with their parameters), the plan of levels and tiles,
+and the statistics so far. An entry is applied to a level in one piece (WHOLE), in TILES, or not at all (UPSAMPLED).
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +30,7 @@ ROWS = 256  # of the raster that are interpolated at a time
 
 @dataclass(eq=False)
 class Shaped:
-    """The result of a stack: float32 [rows, columns] metres to add to the raster's samples, and layers likewise.
+    """The result of a stack: the change to add to the raster's samples, metres, and layers; float32 [rows, columns].
 
     Layers named in `depths` are added to those of the source, others replace them. `level`: finest level that was
     computed anywhere. `tiles`: computed tiles by level, of `tile_counts`. `added`: statistics of each operator at each
@@ -89,7 +92,7 @@ def run_levels(shaping: Shaping) -> tuple[LevelState | None, bool]:
     """Return the state of the last computed level, None if none was, and whether the run finished early.
 
     Requested tiles are left out where the coarser level changed heights by no more than their allowed error, unless it
-    is uncertain.
+    is uncertain: an operator changed nothing there although its mask is not 0, so that finer levels may differ.
     """
     state: LevelState | None = None
     for level in reversed(shaping.plan.levels):
@@ -112,12 +115,13 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
     next coarser level, None at the coarsest. Its arrays are dropped as they are used, to save memory. Raises Finished.
     """
     ground, tiles = LevelGround.of(shaping.heights, level), shaping.plan.with_neighbours(level, chosen)
+    # `depths`: names of layers that are depths in metres, to which operators add instead of replacing them.
     work = LevelWork(shaping.cache, shaping.plan, level, ground, shaping.images, shaping.depths, shaping.threads)
-    land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})
+    land = LandWindow(level.whole, np.zeros(level.shape, np.float32), {})  # changes of heights and layers so far
     total = TileSums.zeros(level)
-    uncertain = np.zeros(level.tile_count, bool)
+    uncertain = np.zeros(level.tile_count, bool)  # whether finer levels may change more than this one
     changes: list[Arrays | None] = []
-    added = []
+    added = []  # statistics of each entry that is applied, for the report
     for numbers in shaping.plan.runs(level):  # of entries that are applied together
         coarse = [None if coarser is None else coarser.changes[number] for number in numbers]
         results, sums = LevelRun(shaping, work, numbers, coarse).apply(tiles, land)
@@ -143,7 +147,15 @@ def _compute_level(shaping: Shaping, level: Level, chosen: list[int], coarser: L
             total.max_change[tile] = coarser.max_change[parent]
             total.mean_square[tile] = coarser.mean_square[parent]
             uncertain[tile] = coarser.uncertain[parent]
-    return LevelState(level, changes, land.total, land.layers, total.max_change, total.mean_square, uncertain)
+    return LevelState(
+        level,
+        changes=changes,
+        total=land.total,
+        layers=land.layers,
+        max_change=total.max_change,
+        mean_square=total.mean_square,
+        uncertain=uncertain,
+    )
 
 
 def _summarize_entry(
@@ -192,7 +204,17 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
             missing = shaping.heights.valid == 0
             total, layers = zero_holes(missing, total), {name: zero_holes(missing, a) for name, a in layers.items()}
     total, counts = np.ascontiguousarray(total), [level.tile_count for level in levels]
-    return Shaped(total, layers, shaping.depths, finest, shaping.tiles, counts, shaping.added, left_out, early)
+    return Shaped(
+        change=total,
+        layers=layers,
+        depths=shaping.depths,
+        level=finest,
+        tiles=shaping.tiles,
+        tile_counts=counts,
+        added=shaping.added,
+        left_out_m=left_out,
+        finished_early=early,
+    )
 
 
 def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:

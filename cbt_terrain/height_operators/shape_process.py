@@ -102,8 +102,10 @@ def _shape(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:
     begin()
     if request["gentle"] and hasattr(os, "nice"):
         os.nice(GENTLE)
+    # In JSON the tiles of a level are pairs of number and allowed error.
     wanted = request["wanted"] and [None if pairs is None else dict(map(tuple, pairs)) for pairs in request["wanted"]]
     stack = stack_from(request["stack"])
     prepare(stack, on_progress)
+    # `_finish_early` is set when the parent wants the complete levels only.
     options = {"folder": request["folder"], "finish": _finish_early.is_set, "tiles": request["tiles"]}
     return run_shape(request["source"], stack, request["store"], wanted, on_progress, **options)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Application of a stack to a store, which writes another store; shape_process.py runs it in a child process."""
+"""Application of a stack to a store, which writes another store; shape_process.py runs it in a child process.
+
+`heights` is the source's height field, and `shaped` the change that the stack makes to its samples.
+"""
 
 import dataclasses
 import hashlib
@@ -62,9 +65,10 @@ def run_shape(
     A store that was shaped so before stays, and its report has "unchanged". Only the last step changes `path`, except
     for cached tiles. Raises TerrainError.
 
-    wanted: for each level {tile: allowed error in metres} or None for all of it; None for all levels. finish: called
-    now and then; True stops after the complete levels. folder: name of the folder for the new arrays, None for a new
-    one. tiles: folder of cached tiles, which stores of one source can share; None for a folder in `path`.
+    wanted: for each level {tile: allowed error in metres} or None for all of it; None for all levels. on_progress: gets
+    the finished fraction and a text. finish: called now and then; True stops after the complete levels. folder: name of
+    the folder for the new arrays, None for a new one. tiles: folder of cached tiles, which stores of one source can
+    share; None for a folder in `path`.
     """
     started, path, threads = time.monotonic(), Path(path), threads or launch.default_threads()
     stack = stack_from(stack_content(stack))  # the same numbers as in the child process
@@ -74,15 +78,17 @@ def run_shape(
     report = finished_before(path, digest)
     if report is not None:
         return report
-    everywhere = wanted is None
+    everywhere = wanted is None  # the store records whether all tiles were requested
     wanted = whole_land(heights.lattice) if wanted is None else wanted
-    units = layer_units(heights, stack)
+    units = layer_units(heights, stack)  # of the layers that the new store will have, by name
     num_finer = len(heights.raster.finer.heights) if heights.raster.finer is not None else 0
     room = shaped_bytes(heights.lattice, len(units), num_finer)  # bytes that the cache of tiles leaves for the store
+    # The draft is the new store, which is removed after an error before `publish`.
     with open_draft(path, folder, heights.lattice, room, ROOM_ELSEWHERE) as draft:
         tiles = path / store_folder.TILES if tiles is None else Path(tiles)
         cache = TileCache(tiles, room)
         images = {file: load_image(file, tiles) for file in sorted(stack.mask_images)}
+        # The change is computed when the progress is SHAPING; the rest builds the store.
         shaped = shape(
             heights,
             stack,
@@ -101,6 +107,7 @@ def run_shape(
             field, heights, threads, draft.allocate, lambda f: on_progress(built + (1.0 - built) * f, FINER), cache
         )
         layers = _write_layers(heights, shaped, draft)
+        # `build` knows only the samples: add the source's metadata, and the layers to the key of the content.
         field = field.with_raster(
             digest=key_with(field.raster.digest, layers),
             filled=heights.filled,
@@ -133,7 +140,7 @@ def open_source(source: str | os.PathLike, path: Path, stack: Stack) -> HeightFi
 def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> str:
     """Return a digest of everything that determines the content of the store.
 
-    heights: the source. wanted: as in `run_shape`.
+    heights: the source. wanted: for each level {tile: allowed error in metres} or None for all of it; None for all.
     """
     tiles = None
     if wanted is not None:
@@ -144,7 +151,7 @@ def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> s
 
 def layer_units(heights: HeightField, stack: Stack) -> dict[str, str]:
     """Return the units of the layers of the result, by name."""
-    units = dict(getattr(heights.layers, "units", {}))
+    units = dict(getattr(heights.layers, "units", {}))  # of the source's layers, if they have units
     return units | {layer.name: layer.unit for entry in stack.active for layer in entry.declaration.layers}
 
 
@@ -156,12 +163,12 @@ def _build(
     Raises TerrainError for a change that is not finite.
     """
     samples = draft.allocate("samples", shaped.change.shape, np.dtype(np.float32))
-    missing = 0
+    missing = 0  # samples in holes
     for row in range(0, len(samples), ROWS):
         rows = slice(row, row + ROWS)
         before, change = heights.heights(rows), shaped.change[rows]
         with np.errstate(over="ignore", invalid="ignore"):
-            samples[rows] = np.where(change == 0.0, before, before + change)
+            samples[rows] = np.where(change == 0.0, before, before + change)  # unchanged heights keep their bits
         if not np.isfinite(samples[rows]).all():
             raise not_finite()
         if heights.valid is not None:
@@ -175,13 +182,13 @@ def _build(
         lattice.step_y,
         missing=missing,
         holes=heights.valid is not None,
-        source_max=heights.source_max,
+        source_max=heights.source_max,  # largest rounding error of the source's heights, metres
         name="The shaped terrain",
         allocate=draft.allocate,
         threads=threads,
         on_progress=on_progress,
     )
-    draft.remove("errors")
+    draft.remove("errors")  # in metres; the field has their codes
     return field
 
 
@@ -232,10 +239,11 @@ def _shaping_report(
         source: store that was shaped.
         heights: its field, unshaped.
         stack: the effects.
-        shaped: changes, computed tiles and levels that were left out.
+        shaped: changes, computed tiles, size of the missing detail (`left_out_m`), and for each operator and level an
+            item of `added`. It is `doubtful` if its tiles differ too much from the level computed in one piece.
     """
     lattice, levels = field.lattice, levels_of(field.lattice)
-    built = sum(map(len, shaped.tiles))
+    built = sum(map(len, shaped.tiles))  # computed tiles of all levels
     warnings = []
     rms, max_change = shaped.left_out_m
     if max_change > 0.0:

@@ -63,7 +63,10 @@ class Shaping:
         return {layer.name for entry in self.entries for layer in entry.declaration.layers if layer.adds_up}
 
     def progress(self, cost: float, level: Level, entry: Entry) -> Callable[[float], None]:
-        """Return a function that an operator calls with its finished fraction; cost: nanoseconds of its work."""
+        """Return a function that an operator calls with its finished fraction.
+
+        cost: nanoseconds of its work. level, entry: what is computed, for the message.
+        """
 
         def report(fraction: float) -> None:
             """Add the fraction of this operator to the progress. Raises Finished if the user ends the work early."""

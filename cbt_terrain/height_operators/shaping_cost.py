@@ -75,22 +75,27 @@ def estimate_seconds(source: str, stack: Stack, preview: Preview | None, in_tile
     if max(lattice.width, lattice.height) > MAX_ESTIMATED:
         return None
     plan = _plan_levels(lattice, stack, all_tiles(lattice) if in_tiles else whole_land(lattice))
-    rates, rest_s = _measured_rates(_read_earlier(source))
+    # By operator the measured over the planned time; and the seconds of the latest run outside of operators.
+    rates, other_s = _measured_rates(_read_earlier(source))
     if rates:
-        mean = add_up(rates.values()) / len(rates)
+        mean = add_up(rates.values()) / len(rates)  # for operators that no earlier run had
         pairs = zip(stack.active, plan.costs, strict=True)
-        return rest_s + add_up(cost * rates.get(entry.effect, mean) for entry, cost in pairs) / 1e9
+        return other_s + add_up(cost * rates.get(entry.effect, mean) for entry, cost in pairs) / 1e9
     if preview is None or preview.build_ms <= 0.0:
         return None
     # The preview's times are added: it is the coarsest level, where operators take many more steps than at finer ones.
     # `slowness` is 1 on one thread of the machine on which BUILD_NS was measured.
     slowness = preview.build_ms * 1e6 / (preview.field.samples.size * BUILD_NS)
+    # BUILD_NS: measuring the errors of a sample. PLANNED_NS: measured time of a planned nanosecond of operators.
     building = (lattice.width * lattice.height + _finer_samples(source)) * BUILD_NS
     return add_up(preview.ms) / 1e3 + slowness * (PLANNED_NS * plan.total + building) / 1e9
 
 
 def _finer_samples(source: str) -> float:
-    """Return the samples of a raster whose errors take as long as the finer tiles of a store. Raises TerrainError."""
+    """Return the cost of the finer tiles of the store `source`, as a number of raster samples. Raises TerrainError.
+
+    Measuring the errors of that many raster samples takes the same time; COST is that of one finer sample.
+    """
     from ..field.finer_tiles import SIDE
     from .finer_land import COST
 
@@ -124,13 +129,14 @@ def _measured_rates(earlier: Iterable[dict]) -> tuple[dict[str, float], float]:
     earlier: contents of store.json of shaped land, the latest last. Of each effect its latest run counts, and of that
     the levels of which no piece was cached.
     """
-    rates, rest_s = {}, 0.0
+    rates, other_s = {}, 0.0
     for content in earlier:
         with suppress(KeyError, TypeError, AttributeError, ZeroDivisionError):  # a provenance may hold anything
             added = content["provenance"]["shaped"]["added"]
+            # `made` pieces of an effect at a level, of which `computed` were not cached.
             new = [one for one in added if one["computed"] == one["made"] > 0 and one["planned_ms"] > 0.0]
             for effect in {one["effect"] for one in new}:
                 ms, planned = (add_up(o[name] for o in new if o["effect"] == effect) for name in ("ms", "planned_ms"))
-                rates[RENAMED.get(effect, effect)] = ms / planned
-            rest_s = max(content["report"]["seconds"] - add_up(one["ms"] for one in added) / 1e3, 0.0)
-    return rates, rest_s
+                rates[RENAMED.get(effect, effect)] = ms / planned  # under its present name, if an old version wrote it
+            other_s = max(content["report"]["seconds"] - add_up(one["ms"] for one in added) / 1e3, 0.0)
+    return rates, other_s

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Snow: it falls by temperature, wind, sun and sky, and slides off steep ground."""
+"""Snow: it falls by temperature, wind, sun and sky, and slides off steep ground.
+
+`ground` is the operator's input, a level or a tile of it: heights in metres, `missing` (holes), `mask`, layers, and
+`first`, row and column of its first sample in the whole level. `launch.spread` runs a kernel for a number of items,
+each of which takes `cost` times 15 ns.
+"""
 
 import math
 from collections.abc import Mapping
@@ -37,10 +42,11 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     values: the parameters by name. coarser: the change of the next coarser level, interpolated to this one.
     """
     snowfall, clinging = _snowfall(ground, values)
-    loose = start = snowfall - clinging
+    loose = start = snowfall - clinging  # snow that may slide, and after the coarser level's slides
     if coarser is not None:
+        # The coarser level's snowfall as these samples alone give it; `before` is it with the ground beyond them.
         coarse_snowfall, coarse_clinging = _coarse_snowfall(ground, values)
-        before = coarser.layers["snow"] - coarser.layers["slides"]  # the coarser level's snowfall
+        before = coarser.layers["snow"] - coarser.layers["slides"]
         # Adds the influence of ground beyond a tile's halo; it is 0 for the whole level.
         snowfall = np.maximum(snowfall + (before - coarse_snowfall), 0.0)
         snowfall[_where_no_snow(ground) != 0] = 0.0
@@ -48,7 +54,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
         loose = snowfall - clinging
         start = _transfer_slides(loose, coarser.layers["slides"], before - coarse_clinging, ground)
     ground.progress(0.5)
-    sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST
+    sweeps = SWEEPS if coarser is not None else SWEEPS * AT_FIRST  # more where slides do not start from a coarser level
     slides = _slide_snow(ground, values, clinging, start.copy(), sweeps) - loose
     _smooth_deposits(slides, ground, values)
     snow = np.maximum(snowfall + slides, 0.0)
@@ -65,17 +71,23 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
     from ..attributes.sky_layer import sweep
 
     heights, (rows, columns) = np.ascontiguousarray(ground.heights), ground.heights.shape
+    # sky: fraction of it that is seen. lee: shelter from the wind. horizon: slopes of the horizon in one direction.
     horizon, sky, lee, snowfall, clinging = (np.zeros((rows, columns), np.float32) for _ in range(5))
 
     def slopes(azimuth: np.ndarray) -> np.ndarray:
-        """Return `horizon` with the slopes of the horizon in an azimuth, a unit vector to the east and north."""
+        """Return `horizon` with the slopes of the horizon in an azimuth, a unit vector to the east and north.
+
+        `first` places the tile in the level, so that lines of sight are the same ones in every tile.
+        """
         steps = ground.step_x, ground.step_y
         sweep(heights, steps, azimuth, scale=1.0, threads=ground.threads, out=horizon, first=ground.first)
         return horizon
 
+    # Fraction of the sky that is seen, the mean over AZIMUTHS evenly spread directions.
     for azimuth in azimuths()[:AZIMUTHS]:
         sky += np.float32(1.0 / AZIMUTHS) / (1 + np.square(slopes(azimuth)))  # cos^2 of the horizon's height
-    # Sines of the horizons to windward, less those to leeward (Winstral et al. 2002). `slopes` fills `horizon` first.
+    # Sines of the horizons to windward, less those to leeward (Winstral et al. 2002), the mean over GUSTS, degrees off
+    # the wind's direction. `slopes` fills `horizon` before the division reads it.
     for gust in GUSTS:
         windward = _direction(values["wind"] + gust)
         lee += np.float32(1.0 / len(GUSTS)) * slopes(windward) / np.sqrt(1 + np.square(horizon))
@@ -86,6 +98,7 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
         *(flat(a, wp.float32) for a in (sky, lee)),
     ]
     inputs = [_weather(ground, values), *arrays, flat(snowfall, wp.float32), flat(clinging, wp.float32)]
+    # An item is a row, of which the kernel writes `snowfall` and `clinging`.
     launch.spread(kernels.fall, rows, inputs, step="snow", threads=ground.threads, cost=5 * columns)
     if ground.mask is not None:
         snowfall *= ground.mask
@@ -157,7 +170,9 @@ def _transfer_slides(
     deposited = np.maximum(slides, 0.0)
     if ground.missing is not None:  # interpolation spreads deposits into holes
         deposited[ground.missing] = 0.0
-    deposited, eroded = balance_mass(deposited, eroded, loose, deposited - eroded, slides, ground)
+    deposited, eroded = balance_mass(
+        deposited, eroded, max_eroded=loose, change=deposited - eroded, net=slides, ground=ground
+    )
     return loose - eroded + deposited
 
 
@@ -177,7 +192,7 @@ def _slide_snow(
     arguments.height, arguments.width = rows, columns
     steps = ground.step_x, ground.step_y, length((ground.step_x, ground.step_y))
     arguments.falls = wp.vec3f(*(_repose(values) * step for step in steps))  # metres between neighbours at rest
-    arguments.bed = flat(_with_walls(ground.heights + clinging, ground.missing), wp.float32)
+    arguments.bed = flat(_with_walls(ground.heights + clinging, ground.missing), wp.float32)  # holes are walls
     arguments.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
@@ -222,7 +237,10 @@ def _smooth_deposits(slides: np.ndarray, ground: OperatorGround, values: Mapping
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert the depth on planes far above and below the line, and that slides conserve mass."""
+    """Assert the depth on planes far above and below the line, and that slides conserve mass.
+
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
+    """
     for height, depth in ((3000.0, 2.0), (0.0, 0.0)):
         snow = evaluate("snow", np.full((9, 12), height), step=20.0, line=1500.0, fall=2.0).layers["snow"]
         assert abs(snow - depth).max() < 1e-3

@@ -114,7 +114,7 @@ class Stack:
             _check_entry(_part_of(f"Entry {number}", where), entry)
 
     def key(self) -> str:
-        """Return a hex digest of everything that determines the stack's result; images count by their content."""
+        """Return a hex digest of all that determines the result: images by content, attributes of masks by version."""
         content = []
         for entry in self.active:
             mask = entry.mask
@@ -187,7 +187,7 @@ def _part_of(part: str, where: str) -> str:
 def _check_entry(where: str, entry: Entry) -> None:
     """Raise TerrainError for an unknown effect, a parameter or seed out of range, or an invalid mask.
 
-    `where`: the entry's position in words, for the error; so in all functions below.
+    where: subject of the error, as "Entry 2 of the stack".
     """
     name = f"{where}, {entry.effect},"
     if entry.effect not in HEIGHT_OPERATORS:
@@ -213,7 +213,7 @@ def read_stack(path: str | os.PathLike) -> Stack:
     path = Path(path)
     text = read_named(path, "The stack", EXPECTED, MAX_BYTES, links=False)
     try:
-        content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)
+        content = json.loads(text.decode("utf-8-sig"), object_pairs_hook=named_once)  # raises for repeated names
     except (ValueError, RecursionError) as reason:
         raise TerrainError(f"The stack {shown(path)} cannot be read ({cause(reason)})", expected=EXPECTED) from None
     return stack_from(content, f"The stack {path}", path.absolute().parent)

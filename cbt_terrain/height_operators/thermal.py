@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Thermal erosion: cliffs break above the angle of their bed, and scree comes to rest below at its own angle.
 
-A mask scales the rock that may break; scree slides where the mask is 0, too.
+A mask scales the rock that may break; scree slides where the mask is 0, too. `ground` is the operator's input, a level
+or a tile of it: heights in metres, `missing` (holes), `mask`, layers, and `first`, row and column of its first sample
+in the whole level. `launch.spread` runs a kernel for a number of items, each of which takes `cost` times 15 ns.
 """
 
 import math
@@ -44,8 +46,8 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     left, scree = _start_level(ground, coarser, breakable, loose)
     base = np.ascontiguousarray(ground.heights - loose - breakable)
     if ground.missing is not None:
-        base[ground.missing] = np.nan
-    times = AT_FIRST if coarser is None else 1
+        base[ground.missing] = np.nan  # holes are walls
+    times = AT_FIRST if coarser is None else 1  # factor on the number of sweeps
     scree = settle_scree(base, breakable, left, scree, ground, values, times)
     wear, deposited = breakable - left, scree - loose
     return Change(deposited - wear, {"scree": deposited, "wear": wear})
@@ -99,20 +101,20 @@ def settle_scree(
 ) -> np.ndarray:
     """Return the scree after `times` * (BREAKING + RESTING) sweeps, and update `left`, the rest of `breakable` rock.
 
-    The scree is the mean after the last four halves of sweeps. All are float32 [rows, columns] m, see
-    kernels/land/thermal.py. Overwrites `base` (rock that cannot break) and `scree`. values: the operator's parameters
-    by name.
+    The scree is the mean after the last four halves of sweeps. All arrays are float32 [rows, columns] m. Overwrites
+    `base` (heights of rock that cannot break) and `scree`. values: the operator's parameters by name.
     """
     from ...kernels.land import thermal as kernels
 
     slope, mean_scree = pack_slope(ground, values, base, left, scree), np.zeros_like(scree)
+    # Noise with waves of up to LONGEST metres is added to `base`, so that the angle at which scree rests varies.
     inputs, cost = [slope, LONGEST, OCTAVES, values["uneven"] * slope.repose], 3.0 * slope.width
     launch.spread(kernels.vary_repose, slope.height, inputs, step="scree", threads=ground.threads, cost=cost)
     breaking, sweeps = times * BREAKING, times * (BREAKING + RESTING)
     recorded: dict = {}  # launches, which `sweep` repeats
     for number in range(sweeps):
         if number == breaking:
-            smooth_wear(left, breakable)
+            smooth_wear(left, breakable)  # breaking leaves a pattern that alternates from sample to sample
             slope.weather = 0.0  # no more rock breaks
         for _half in sweep(slope, number, ground.threads, recorded):
             # Moving scree is in rows of one parity after each half; the mean of four halves hides that comb.
@@ -149,6 +151,7 @@ def smooth_wear(left: np.ndarray, breakable: np.ndarray) -> None:
         (left[:-1], left[1:], breakable[:-1], breakable[1:]),
         (left[:, :-1], left[:, 1:], breakable[:, :-1], breakable[:, 1:]),
     ):
+        # Rock moves from b to a, which has lost more; the limits keep both from running out of it.
         flux = np.float32(0.25) * np.clip((before_a - a) - (before_b - b), -a, b)
         old = a.copy()
         a += flux
@@ -160,8 +163,11 @@ def pack_slope(
 ) -> "kernels.Slope":
     """Return parameters and arrays as the kernels read them; the memory of the arrays is shared.
 
-    base: constant rock, left: rock that may break off, scree; float32 [rows, columns] metres. values: the operator's
-    parameters by name.
+    Angles become tangents: of scree at rest, of soft and hard rock before it breaks, and of the beds' dip. `thick`: of
+    a bed; `dip_x`, `dip_y`: metres that beds fall to the next sample. The upper sample of a pair gives the lower one
+    `share` of its excess height, at most `max_fraction` of its scree; `weather` of the bare rock's excess breaks. base:
+    heights of the rock that cannot break, left: rock on it that may, scree; float32 [rows, columns] metres. values: the
+    operator's parameters by name.
     """
     from ...kernels import wp
     from ...kernels.land import thermal as kernels
@@ -183,15 +189,18 @@ def pack_slope(
     return slope
 
 
-def example(shape: Evaluate) -> None:
-    """Assert that a cliff of 100 m in a bed of 60 degrees breaks and conserves mass, and no slope of 30 does."""
+def example(evaluate: Evaluate) -> None:
+    """Assert that a cliff of 100 m in a bed of 60 degrees breaks and conserves mass, and no slope of 30 does.
+
+    evaluate(name, heights, step, **parameters): applies an operator to heights `step` metres apart over all levels.
+    """
     x = np.tile(np.arange(65, dtype=np.float32), (33, 1))
     one_bed = {"soft_angle": 60.0, "hard_angle": 60.0, "depth": 20.0}
-    change = shape("scree", np.where(x < 32, np.float32(100.0), np.float32(0.0)), 10.0, **one_bed)
+    change = evaluate("scree", np.where(x < 32, np.float32(100.0), np.float32(0.0)), step=10.0, **one_bed)
     wear, scree = (change.layers[name].astype(np.float64).sum() for name in ("wear", "scree"))
     assert wear > 33 * 10.0 and abs(scree - wear) < 1e-6 * wear
     assert change.heights[:, 31].max() < -10.0 and change.heights[:, 33].min() > 3.0
-    change = shape("scree", np.float32(10.0 * math.tan(math.radians(30.0))) * x, 10.0, uneven=0.0)
+    change = evaluate("scree", np.float32(10.0 * math.tan(math.radians(30.0))) * x, step=10.0, uneven=0.0)
     assert not change.heights.any()
 
 

@@ -61,7 +61,7 @@ class TileCache:
     def find(self, effect: str, key: str, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> np.ndarray | None:
         """Return the array of that shape and type under `key`, read only; None if it is not cached.
 
-        effect: as in `take`.
+        effect: name of the operator, for the count in `kept`.
         """
         self._used.add(f"{key}.npy")
         found = None if self.folder is None else read_cached(self.folder / f"{key}.npy", shape, dtype)
@@ -70,7 +70,7 @@ class TileCache:
         return found
 
     def keep(self, effect: str, key: str, array: np.ndarray) -> None:
-        """Cache a contiguous array that was computed. effect: as in `take`."""
+        """Cache a contiguous array that was computed. effect: name of the operator, for the count in `made`."""
         self.made[effect] += 1
         if self.folder is not None:
             _write_cached(self.folder / f"{key}.npy", array, self.room)

@@ -60,7 +60,7 @@ class Level:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether the level is computed in one piece."""
+        """Return whether the level is always computed in one piece, since it is small or narrow."""
         return max(self.shape) <= WHOLE or min(self.shape) <= STRIP
 
     @property
@@ -105,7 +105,7 @@ class Level:
     def parent(self, tile: int) -> int:
         """Return the number of the tile of the next coarser level that contains a tile."""
         j, i = divmod(tile, self.tiles[1])
-        coarse_columns = -(-(self.columns // 2) // TILE)
+        coarse_columns = -(-(self.columns // 2) // TILE)  # the coarser level has columns // 2 cells a row
         return j // 2 * coarse_columns + i // 2
 
 
@@ -128,7 +128,7 @@ def levels_of(lattice: Lattice) -> list[Level]:
     levels = [Level(0, lattice.height, lattice.width, lattice.step_x, lattice.step_y)]
     while max(levels[-1].shape) > COARSEST:
         fine = levels[-1]
-        shape = fine.rows // 2 + 1, fine.columns // 2 + 1
+        shape = fine.rows // 2 + 1, fine.columns // 2 + 1  # the last sample is at the border, or beyond it
         levels.append(Level(fine.number + 1, *shape, 2 * fine.step_x, 2 * fine.step_y))
     return levels
 
@@ -156,11 +156,12 @@ def tiles_seen(
     vertical_scale: float = 1.0,
     vertical_offset: float = 0.0,
 ) -> list[dict[int, float]]:
-    """Return the visible tiles of each level where a pixel is as fine as the level, with allowed errors in metres.
+    """Return the visible tiles of each level in which the level can be seen, with allowed errors in metres.
 
-    The error is `pixel_error` pixels at the tile, rounded down to a quarter of an octave, so that a slow camera does
-    not change the request in every frame. placement: 4 x 4 matrix of the terrain in the world, None for the identity.
-    Heights are multiplied by `vertical_scale`, then `vertical_offset` metres are added.
+    A level can be seen where a pixel is at most PIXEL_SPACINGS of its spacings wide. The error is `pixel_error` pixels
+    at the tile, rounded down to a quarter of an octave, so that a slow camera does not change the request in every
+    frame. views: the cameras. placement: 4 x 4 matrix of the terrain in the world, None for the identity. Heights are
+    multiplied by `vertical_scale`, then `vertical_offset` metres are added.
     """
     from ..attributes import sizing
 
@@ -168,6 +169,7 @@ def tiles_seen(
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
     boxes, tiles = None, []
     for level in levels:
+        # Bounding boxes of the level's tiles, and the metres that a pixel covers there, infinite outside of all views.
         boxes = _boxes(level, field, vertical_scale, vertical_offset) if boxes is None else _merge_boxes(level, boxes)
         pixels = sizing.footprints(boxes.reshape(-1, 2, 3), views, placement, only_seen=True)
         fine_enough = np.flatnonzero(pixels <= PIXEL_SPACINGS * max(level.step_x, level.step_y))
@@ -183,9 +185,9 @@ def _round_error(metres: float) -> float:
 
 
 def _boxes(level: Level, field: HeightField, vertical_scale: float, vertical_offset: float) -> np.ndarray:
-    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3].
+    """Return the bounding boxes of the ground of each tile of level 0, float64 [tiles north, tiles east, 2, 3] metres.
 
-    Arguments are those of `tiles_seen`.
+    level: level 0. Heights are multiplied by `vertical_scale`, then `vertical_offset` metres are added.
     """
     from ..attributes import sizing
 
@@ -226,7 +228,8 @@ def add_coarser(
 
     A coarser tile gets the smallest allowed error of itself and its finer tiles. The tiles of its level that the
     windows of these finer tiles read are computed with it. wanted: allowed error of each requested tile, metres, by
-    level. halo: rows and columns that the operators read beyond a tile, by level.
+    level. halo: rows and columns that the operators read beyond a tile, by level. A TileNeed has the allowed error of a
+    tile in metres, and the tiles that are computed with it.
     """
     needs = [{tile: TileNeed(metres, frozenset({tile})) for tile, metres in tiles.items()} for tiles in wanted]
     for fine, coarse in zip(levels, levels[1:], strict=False):
@@ -234,6 +237,7 @@ def add_coarser(
         needed, sources = needs[coarse.number], {}  # sources: coarse tiles that the window of each tile reads
         for tile in set().union(*(need.tiles for need in needs[fine.number].values())):
             window = fine.window(tile, rows, columns)
+            # Coarse sample k is sample 2 k: from the one at or before the window's first to the one after its last.
             y, x = (slice(axis.start // 2, (axis.stop - 1) // 2 + 2) for axis in window)
             sources[tile] = coarse.tiles_in((y, x))
         for tile, need in needs[fine.number].items():

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rivers, lakes and the sea under steady rain: discharge, depth and speed. Heights do not change."""
+"""Rivers, lakes and the sea under steady rain: discharge, depth and speed. Heights do not change.
+
+`ground` is the operator's input: heights in metres, `step_x` and `step_y` apart, and `missing` (holes). `launch.spread`
+runs a kernel for a number of items, each of which takes `cost` times 15 ns.
+"""
 
 import math
 from collections.abc import Mapping
@@ -45,7 +49,7 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     ground.progress(0.8)
     # normal: depth of a uniform flow, as hydraulics calls it.
     normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
-    rain = _rain(ground, values)
+    rain = _rain(ground, values)  # parameters of the kernels; the arrays follow
     rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)
     rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
     rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
@@ -78,12 +82,13 @@ def _rain(ground: OperatorGround, values: Mapping[str, float]) -> "kernels.Stead
 def example(evaluate: Evaluate) -> None:
     """Assert Manning's depth on a roof of 1 : 100 under 1 m of rain a year, and a level lake in a hollow.
 
-    A point of the roof has the discharge of the rain between it and the ridge.
+    A point of the roof has the discharge of the rain between it and the ridge. evaluate(name, heights, step,
+    **parameters): applies an operator to heights `step` metres apart over all levels.
     """
     x = np.arange(33, dtype=np.float32)
     roof = np.tile(10.0 - 0.1 * abs(x - 16.0), (65, 1))
     layers = evaluate("water", roof, step=10.0, sea=-1.0).layers
-    discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR
+    discharge = 100.0 * (abs(x[2:15] - 16.0) + 0.5) / YEAR  # 100 m2 a sample, half of the ridge's own on each side
     assert abs(layers["discharge"][32, 2:15] / discharge - 1.0).max() < 1e-4
     width = 3.0 * np.sqrt(discharge)  # with WIDTH of the kernels
     roughness, slope = 0.05, 0.01  # the parameter's default, and the roof's

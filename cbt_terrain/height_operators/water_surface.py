@@ -37,8 +37,9 @@ MIN_SEA, INLAND = 0.01, 0.05
 def default_sea(field: HeightField) -> float:
     """Return a level of the sea in metres that shows water.
 
-    It is 0 m at a coast, and inland that of a lake on the lowest ground. If most ground at or below the level is at
-    exactly this level, as where a file stores the sea as 0 or holds a lake's surface, it is OVER_FLAT_SEA higher.
+    It is 0 m at a coast, where at least a fraction MIN_SEA of the ground is at or below 0 m. Inland it floods the
+    lowest fraction INLAND of the ground. If most ground at or below the level is at exactly this level, as where a file
+    stores the sea as 0 or holds a lake's surface, it is OVER_FLAT_SEA higher.
     """
     count = field.samples.size if field.valid is None else np.count_nonzero(field.valid)
     ground, filled = np.empty(count, np.float32), 0  # `filled`: heights so far
@@ -50,8 +51,8 @@ def default_sea(field: HeightField) -> float:
         filled += heights.size
     is_coast = np.count_nonzero(ground <= 0.0) >= MIN_SEA * count
     level = 0.0 if is_coast else float(np.quantile(ground, INLAND, overwrite_input=True))
-    is_level = 2 * np.count_nonzero(ground == level) > np.count_nonzero(ground <= level)
-    return level + OVER_FLAT_SEA if is_level else level
+    is_flat = 2 * np.count_nonzero(ground == level) > np.count_nonzero(ground <= level)
+    return level + OVER_FLAT_SEA if is_flat else level
 
 
 def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> Surface:
@@ -77,7 +78,7 @@ def water_of(field: HeightField, threads: int = 1, sea: float | None = None) -> 
     else:
         values = WATER.defaults() | ({} if sea is None else {"sea": sea})
         layers = WATER.apply(OperatorGround(heights, *steps, missing=missing, threads=threads), values, None).layers
-    water_lattice = fit(heights.shape[1], heights.shape[0], *steps)
+    water_lattice = fit(heights.shape[1], heights.shape[0], *steps)  # of the reduced raster, about its middle
     water_lattice = replace(water_lattice, anchor_x=lattice.anchor_x, anchor_y=lattice.anchor_y)
     depth, speed, discharge = layers[NAMES[0]], layers.get(NAMES[1]), layers.get(NAMES[2])
     surface = water_surface(water_lattice, heights, depth, speed, discharge, missing, threads=threads)
@@ -99,18 +100,20 @@ def water_surface(
     """Return the surface of water, with its depth and speed as attributes.
 
     There is water where it is at least `min_depth` deep or flows with at least MIN_DISCHARGE. Each cell with water at a
-    corner gives two triangles, which are cut at the shore and face up. Without water the surface is empty. heights,
-    depth: of the ground and of the water on it, float32 [rows, columns], metres. speed, discharge: float32 likewise,
-    m/s and m^3/s, None for still water. missing: bool likewise, holes that no triangle touches, or None. min_depth:
-    metres.
+    corner gives two triangles, which are cut at the shore and face up. Without water the surface is empty. heights: of
+    the ground; depth: of the water on it; both float32 [rows, columns], metres. speed, discharge: float32 of the same
+    shape, m/s and m^3/s, None for still water. missing: bool of that shape, holes that no triangle touches, or None.
+    min_depth: metres.
     """
     wet = depth >= min_depth
     if discharge is not None:
         wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
     if missing is not None:
         wet &= ~missing
+    # signed_depth: negative at dry samples, where the water level is below the ground, so that the shore is at 0.
     signed_depth, water_height, wet = _extend_to_shore(heights, depth, wet, min_depth)
     corners, sides = _triangles(signed_depth, wet, missing)
+    # Vertices are the samples at corners of triangles, numbered in the order of samples.
     used, vertex_numbers = _number_items(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
     west, south, _, _ = lattice.rectangle()
@@ -123,7 +126,7 @@ def water_surface(
         UV: Attribute(uv, POINT),
         "water_depth": Attribute(signed_depth.ravel()[used].astype(np.float32), POINT, "m"),
         "water_speed": Attribute(speeds.astype(np.float32), POINT, "m/s"),
-        LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),
+        LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),  # each surface has it; refinement, here 0
     }
     lines, line_numbers = _number_items(sides, 4 * heights.size)  # `_triangles` numbers sides in four directions
     start, towards = np.divmod(lines, 4)
@@ -156,12 +159,14 @@ def _extend_to_shore(
     """
     ground = heights.astype(np.float64)
     surface = ground + depth
+    # Dry samples next to water, and the mean level of the water next to them.
     is_shore, near_level, _ = _shore(surface, depth, wet)
     # The shallow border of a lake belongs to it, so that its shore is where the ground comes out of the water.
     wet = wet | (is_shore & (depth > 0.0) & (ground < near_level) & (abs(surface - near_level) < SAME))
     is_shore, near_level, near_depth = _shore(surface, depth, wet)
     # How far the water's surface is below the ground at the shore: down to the level of the water nearby. Where the
-    # ground is below that level, a shallow border ends between samples, and a river above its banks half-way.
+    # ground is below that level, a shallow border ends between samples, and a river above its banks half-way. A border
+    # is shallow if its own water, too thin to be wet, reaches the level nearby.
     is_shallow = surface >= near_level - min_depth
     below = np.where(near_level < ground, ground - near_level, np.where(is_shallow, near_level - ground, near_depth))
     signed = np.where(wet, depth, np.where(is_shore, -below, 0.0))
@@ -170,6 +175,7 @@ def _extend_to_shore(
 
 def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the dry samples next to wet ones, and the mean surface and depth, metres, of their wet neighbours."""
+    # Sums over the wet neighbours, and their number; the number is at least 1 in the means.
     level, depths, count = (_sum_neighbours(np.where(wet, array, 0.0)) for array in (surface, depth, 1.0))
     is_shore, count = ~wet & (count > 0), np.maximum(count, 1.0)
     return is_shore, level / count, depths / count
@@ -213,6 +219,7 @@ def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) ->
         np.minimum(corner_depths[:, 0], corner_depths[:, 2]) >= np.minimum(corner_depths[:, 1], corner_depths[:, 3])
     )[:, None]
     corners = np.where(north_east, cell_corners[:, [0, 1, 2, 0, 2, 3]], cell_corners[:, [0, 1, 3, 1, 2, 3]])
+    # For each side of the two triangles, the corner where it starts and its direction; by direction of the diagonal.
     kinds = SIDES_NORTH_EAST, SIDES_NORTH_WEST
     north_east_sides, north_west_sides = (
         np.stack([4 * cell_corners[:, c] + towards for c, towards in kind], axis=-1) for kind in kinds

@@ -166,7 +166,8 @@ class AttributeRequest:
 def _plain(value: ParameterValue) -> ParameterValue:
     """Return numbers, alone or in tuples, as floats, and anything else, also booleans, as it is.
 
-    Raises TerrainError for an array of several numbers.
+    So equal parameters have equal keys, whatever type of number a caller used. Raises TerrainError for an array of
+    several numbers.
     """
     if isinstance(value, tuple):
         return tuple(map(_plain, value))

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baking of maps: attributes at the texels of tiles that are missing or out of date.
 
+A tile is a rectangle of the ground, and an image shows one attribute on it with `side` x `side` texels.
 A file contains the key of its content: the attributes with their versions and parameters, the heights, the tile, the
 resolution and the coding. Files with the requested key stay. New ones are written in a private folder and renamed when
 all are complete.
@@ -83,10 +84,14 @@ def bake(
 ) -> Baked:
     """Update the maps of requested attributes in `folder`; `resolutions`: texels along a side of each tile.
 
+    requests: attributes with their parameters, one map each.
+
     Heights are `height * vertical_scale + vertical_offset` metres. `form`: PNG or EXR. `on_progress` gets the finished
-    fraction and may raise, which cancels without a change of the folder. `lock` is held for each band of texels. Images
-    that the earlier maps.json lists and the new one does not are removed. Raises TerrainError.
+    fraction and may raise, which cancels without a change of the folder. `lock` is held while a band of texels is
+    evaluated; between bands other threads can evaluate attributes. None for no lock. Images that the earlier maps.json
+    lists and the new one does not are removed. Raises TerrainError.
     """
+    # Tiles are counted in cells of the finest heights: level 0, or below where the raster has finer tiles.
     folder, tiling = Path(folder), tiling_of(field.lattice, min_level(field.raster))
     ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
     by_name = sorted(requests, key=lambda request: request.name)
@@ -97,6 +102,7 @@ def bake(
         partial_files.remove_abandoned(folder)
         before = read_index(folder)
         listed = image_files(before or {"maps": {}})  # images of the earlier maps
+        # Images without a file, or whose file has the key of another content.
         missing = [image for image in images if _key_in(folder / image.file) != image.key]
         for image in missing:
             _check_replaceable(folder / image.file, listed)
@@ -138,8 +144,12 @@ class _MapGround:
         return levels
 
     def finer_level(self, tile: int, side: int) -> float:
-        """Return the finest level of a tile's texels, 0 or below it; `side`: texels along a side of the image."""
+        """Return the finest level of a tile's texels: below 0 if its image shows finer tiles, else 0.
+
+        side: texels along a side of the image.
+        """
         raster, (west, south, east, north) = self.field.raster, self.tiling.box(tile)
+        # Metres by which the image's margin extends beyond the tile.
         across, along = (side * self.tiling.margin * texel for texel in self.tiling.texel(side))
         has_finer = is_finer(raster, (west - across, south - along, east + across, north + along))
         return min(max(self.image_level(side), min_level(raster)), 0.0) if has_finer else 0.0
@@ -147,7 +157,8 @@ class _MapGround:
     def image_level(self, side: int) -> float:
         """Return the level at which decals are sampled, for images of `side` texels.
 
-        It is about log2 of the texel over the sample spacing, below 0 for texels finer than samples.
+        It is log2 of the texel over the sample spacing, less SHARPER (interpolation of the image smooths it, too),
+        rounded to a multiple of 1 / STEPS_PER_LEVEL. It is below 0 for texels finer than samples.
         """
         lattice = self.field.lattice
         ratio = max(self.tiling.texel(side)) / max(lattice.step_x, lattice.step_y)
@@ -204,6 +215,7 @@ def _bake_images(
 
     Attributes of one tile are evaluated together. `lock` is held while a band is evaluated.
     """
+    # Texels of all tiles, each counted once for all its attributes.
     total = sum(int(side * side) for side in {image.tile: image.side for image in images}.values())
     done = 0
     on_progress(0.0)
@@ -252,14 +264,15 @@ def _texel_points(ground: _MapGround, tile: int, side: int, first: int, rows: in
     tile: number in the tiling. side: texels along a side of the image. first, rows: first row, from the north, and
     number of rows.
     """
-    no_coarser_levels = np.empty(1, np.float32)
+    no_coarser_levels = np.empty(1, np.float32)  # positions have the heights of the raster's own samples
     heights, grid, tiling = pack_pyramid(ground.field.raster, no_coarser_levels), kernels.Texels(), ground.tiling
     heights.height_scale, heights.height_offset = ground.vertical_scale, ground.vertical_offset
     grid.columns = side
     grid.west, grid.north = tiling.first_texel(tile, side)
     grid.step_x, grid.step_y = tiling.texel(side)
     positions = np.empty((rows * side, 3), np.float32)
-    inputs = [first * side, heights, grid, shared(positions, wp.vec3f)]
+    first_texel = first * side  # in the image
+    inputs = [first_texel, heights, grid, shared(positions, wp.vec3f)]
     launch.spread(kernels.texel_places, len(positions), inputs, step="texels", threads=ground.threads)
     level = ground.levels(side, positions)
     scale = ground.vertical_scale, ground.vertical_offset

@@ -33,17 +33,17 @@ class Coding:
 
 
 def coding_of(effect: AttributeDeclaration, form: str) -> Coding:
-    """Return the coding of an attribute in a form of FORMS.
+    """Return the coding of an attribute in a form of FORMS. effect: the attribute's declaration.
 
-    In PNG files, attributes without a unit and colours have 8 bits, measures 16 bits. In EXR files all are half floats.
-    Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError for another
-    form. effect: the attribute's declaration.
+    In PNG files, attributes without a unit and colours have 8 bits, those with a unit 16 bits. In EXR files all are
+    half floats. Attributes without a known span are 32-bit floats in EXR files, whatever the form. Raises TerrainError
+    for another form.
     """
     if form not in FORMS:
         raise TerrainError(f"The format of the maps is {form!r}", expected=f"one of {', '.join(FORMS)}")
     channels = 3 if effect.width == 2 else effect.width  # no format has two
     if effect.span is None:
-        return Coding(EXR, channels, depth=32, low=0.0, high=1.0)
+        return Coding(EXR, channels, depth=32, low=0.0, high=1.0)  # floats are written as they are
     if form == EXR:
         return Coding(EXR, channels, depth=16, low=0.0, high=1.0)
     depth, (low, high) = 8 if effect.unit in NO_UNIT else 16, effect.span

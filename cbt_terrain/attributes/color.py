@@ -16,7 +16,7 @@ from .splat_rules import LAYERS, Layer
 DEFAULT_COLORS = ((0.07, 0.11, 0.03), (0.24, 0.2, 0.16), (0.13, 0.12, 0.115), (0.85, 0.88, 0.93))
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the attribute color at points: colours of the splat layers times their weights, decals over it.
 
     wanted: {"color": parameters: layers, colors (linear RGB of each layer), decals}. read: the attributes that the
@@ -28,12 +28,12 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
         raise TerrainError(
             f"There are {len(layers)} splat layers and {len(colors)} colours", expected="a colour for each layer"
         )
-    names = splat.NAMES[: -(-len(layers) // 4)]
-    weights = splat.make(places, {name: {"layers": layers} for name in names}, read)
-    blend = np.zeros((len(places), 3), np.float32)
+    names = splat.NAMES[: -(-len(layers) // 4)]  # each attribute splat_1, splat_2 .. has the weights of four layers
+    weights = splat.make(points, {name: {"layers": layers} for name in names}, read)
+    blend = np.zeros((len(points), 3), np.float32)
     for number, color in enumerate(colors):
         blend += weights[names[number // 4]][:, number % 4, None] * np.array(color, np.float32)
-    cover(blend, values["decals"], places)
+    cover(blend, values["decals"], points)
     return {"color": blend}
 
 

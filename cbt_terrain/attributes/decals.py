@@ -84,9 +84,10 @@ def picture(pixels: np.ndarray, tilts: bool) -> DecalPicture:
 
 
 def picture_of_rows(shape: tuple[int, ...], read_rows: Callable[[int, int], np.ndarray], tilts: bool) -> DecalPicture:
-    """Return a picture as `picture` does, whose pixels are computed by blocks of rows.
+    """Return the picture of pixels that are computed by blocks of rows, on several threads.
 
-    shape: rows, columns and 4. read_rows: returns the pixels from one row up to another; called on several threads.
+    shape: rows, columns and 4. read_rows: returns the pixels, float [rows, columns, 4], not premultiplied, from one row
+    up to another (exclusive). tilts: the pixels are a normal map, of which slopes are stored; else linear colours.
     """
     values = np.empty(shape, np.float32)
 
@@ -100,12 +101,15 @@ def picture_of_rows(shape: tuple[int, ...], read_rows: Callable[[int, int], np.n
 
 
 def _premultiplied(pixels: np.ndarray, tilts: bool) -> np.ndarray:
-    """Return the values of a `DecalPicture` for pixels of some rows: colours or slopes times alpha, and alpha."""
+    """Return the values of a `DecalPicture` for pixels of some rows: colours or slopes times alpha, and alpha.
+
+    pixels: float [rows, columns, 4]. tilts: they are a normal map, of which slopes are computed.
+    """
     finite = np.array(pixels, np.float32)
     if not (finite.min() >= -LARGEST and finite.max() <= LARGEST):  # a NaN makes both comparisons false
         np.clip(np.nan_to_num(finite, copy=False), -LARGEST, LARGEST, out=finite)
     alpha = np.clip(finite[..., 3:], 0.0, 1.0)
-    if tilts:
+    if tilts:  # a normal map has -1 .. 1 as 0 .. 1
         normals = finite[..., :3] * np.float32(2.0) - np.float32(1.0)
         finite[..., :2] = -normals[..., :2] / np.maximum(normals[..., 2:], np.float32(0.05))  # slopes of 20 at most
         finite[..., 2] = 0.0
@@ -159,23 +163,24 @@ class Decal:
         west, south = self.corner[0] + min(x), self.corner[1] + min(y)
         return west, south, self.corner[0] + max(x), self.corner[1] + max(y)
 
-    def sample(self, places: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
+    def sample(self, points: SamplePoints) -> tuple[np.ndarray, np.ndarray]:
         """Return the indices of the points that it covers, int64 [n], and its values there, float32 [n, 4].
 
         Values are those of `DecalPicture`, interpolated between the two mipmaps nearest to each point's scale, and
         multiplied by the opacity.
         """
-        x = places.positions[:, 0].astype(np.float64) - self.corner[0]
-        y = places.positions[:, 1].astype(np.float64) - self.corner[1]
-        # Fractions of the way along the picture's lower and left edge.
+        x = points.positions[:, 0].astype(np.float64) - self.corner[0]
+        y = points.positions[:, 1].astype(np.float64) - self.corner[1]
+        # Fractions of the way along the picture's lower and left edge; `_area` is that of the parallelogram of both.
         u = (x * self.up[1] - y * self.up[0]) / self._area
         v = (y * self.along[0] - x * self.along[1]) / self._area
         which = np.flatnonzero((u >= 0) & (u <= 1) & (v >= 0) & (v <= 1))
         u, v = u[which], v[which]
-        mips, lattice = self.picture.mips, places.field.lattice
+        mips, lattice = self.picture.mips, points.field.lattice
         rows, columns, _ = mips[0].shape
-        # Levels of the raster's pyramid, `image_level` for all texels of a map; then of mipmaps, 0 the image itself.
-        levels = places.level[which] if places.image_level is None else places.image_level
+        # The scale of each point as a level of the raster's pyramid; all texels of a map have `image_level`.
+        levels = points.level[which] if points.image_level is None else points.image_level
+        # The same scale as a number of mipmaps, 0 for the image itself, whose pixels are `pixel` metres.
         levels = levels + np.full(len(which), math.log2(max(lattice.step_x, lattice.step_y) / self.pixel))
         levels = np.clip(levels, 0.0, len(mips) - 1.0)
         values = np.zeros((len(which), 4), np.float32)
@@ -201,25 +206,26 @@ def _interpolate(image: np.ndarray, column: np.ndarray, row: np.ndarray) -> np.n
     return lower * (1 - t) + (image[north, west] * (1 - s) + image[north, east] * s) * t
 
 
-def cover(colors: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
+def cover(colors: np.ndarray, decals: Sequence[Decal], points: SamplePoints) -> None:
     """Composite colour decals over `colors`, float32 [n, 3], in place and in order (Porter and Duff 1984, "over").
 
-    Decals that are normal maps are skipped.
+    Decals that are normal maps are skipped. points: where these colours are.
     """
     for decal in decals:
         if not decal.picture.tilts:
-            which, values = decal.sample(places)
+            which, values = decal.sample(points)
             colors[which] = values[:, :3] + (1 - values[:, 3:]) * colors[which]
 
 
-def tilt(normals: np.ndarray, decals: Sequence[Decal], places: SamplePoints) -> None:
+def tilt(normals: np.ndarray, decals: Sequence[Decal], points: SamplePoints) -> None:
     """Add the slopes of decals that are normal maps to those of the ground, in place: `normals`, float32 [n, 3].
 
     The first two values of such a decal are the slopes along the two sides of its image. Colour decals are skipped.
+    points: where these normals are.
     """
     for decal in decals:
         if decal.picture.tilts:
-            which, values = decal.sample(places)
+            which, values = decal.sample(points)
             upright = normals[which] / normals[which, 2:]
             for slope, (x, y) in zip(values.T[:2], (decal.along, decal.up), strict=True):
                 length = math.sqrt(x * x + y * y)

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluation of a plan on a surface: each attribute once, and only at points that the last surface lacks."""
+"""Evaluation of a plan on a surface: each attribute once, and only at points that the last surface lacks.
+
+A step of a plan is the request for one attribute. Its family, PICTURE or GEOMETRY, is the kind of its readers. For each
+family every point has a level of the height pyramid, the scale at which attributes are evaluated there: pictures follow
+the pixel footprint, geometry has one scale.
+"""
 
 import time
 import weakref
@@ -30,7 +35,7 @@ Group = list[AttributeRequest]  # attributes of one call
 # held, since the mesh is written from them.
 MAX_BYTES = 1 << 28
 NUMBER = 4  # bytes of a number, float32
-ANY_LEVEL = "ANY_LEVEL"
+ANY_LEVEL = "ANY_LEVEL"  # in place of a family: of attributes without a scale, whose values depend on no level
 BAND = 1 << 18  # samples that are evaluated together
 
 
@@ -50,10 +55,12 @@ class Ran:
 
 @dataclass(frozen=True)
 class EffectRequest:
-    """A plan and a surface; other arguments as of `Terrain.update`.
+    """A plan and the surface on which its attributes are evaluated.
 
-    Without views, attributes in pictures have the scale of the finest samples. geometry_metres: metres between samples
-    of the scale of attributes in geometry, 0 for the finest samples.
+    views: cameras, whose finest pixel footprint is the scale of attributes in pictures; without any it is that of the
+    finest samples. placement: float64 [4, 4], maps the terrain's space to the world, None for the identity. Heights
+    are `height * vertical_scale + vertical_offset` metres. geometry_metres: metres between samples of the scale of
+    attributes in geometry, 0 for the finest samples.
     """
 
     plan: AttributePlan
@@ -94,7 +101,8 @@ def evaluate(
     """Evaluate attributes on a surface; points of the last surface reuse its values.
 
     Values are functions of a point, a level, parameters and heights alone, so that the bytes do not depend on the
-    history. `max_bytes`: limit of values and caches together; values of the last surface are dropped to keep it.
+    history. `history`: owns the values of the last surface; another thread that evaluates with it waits. `max_bytes`:
+    limit of values and caches together; values of the last surface are dropped to keep it.
     """
     with history.alone():
         values, history.values = history.values, None  # discarded if this is interrupted
@@ -123,57 +131,62 @@ def _evaluate_steps(
 ) -> dict[str, np.ndarray]:
     """Return the values of all steps by name, and record their costs in `ran`.
 
-    heights: field that attributes read. values: arrays of the last surface, which are moved to this one. step_keys:
-    what each step's values depend on, except the surface; while it is unchanged, values of the last surface are reused.
-    max_bytes: limit of values and caches together.
+    heights: field that attributes read. request: the plan of steps, the surface and its views. values: arrays of the
+    last surface (`values.source`), moved to this one. step_keys: what each step's values depend on, except the surface;
+    while it is unchanged, values of the last surface are reused. max_bytes: limit of values and caches together.
     """
-    steps, last = request.plan.steps, values.source
-    places, fresh = _place_points(heights, request, values)
+    steps, last = request.plan.steps, values.source  # `last.keys`: by step, the key of its values of the last surface
+    # Points with their levels, and indices of new points, by family.
+    points, fresh = _locate_points(heights, request, values)
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new_points()
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
+    # Attributes whose values of the last surface are freed, so that the others fit: computed at all points.
     dropped = _choose_dropped(nonzero, len(request.surface.positions), max_bytes)
     values.forget(dropped)
     reused = {step.name for step in nonzero if last.keys.get(step.name) == step_keys[step.name]} - dropped
-    # By name, the points to compute; None, all points, where nothing is reused.
+    # By name, the indices of the points to compute; None, which is all points, where nothing is reused. Attributes that
+    # are not `scaled` depend on no level, so only points that the last surface lacks are new for them.
     to_compute = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
     to_compute |= dict.fromkeys(to_compute.keys() - reused)
     # Arrays of this surface, filled at the points that the last one has.
-    results = values.reuse({name: ATTRIBUTES[name].width for name, points in to_compute.items() if points is not None})
-    for step in set(steps) - set(nonzero):
+    results = values.reuse({name: ATTRIBUTES[name].width for name, which in to_compute.items() if which is not None})
+    for step in set(steps) - set(nonzero):  # their parameters make them 0 everywhere
         results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
     for group in _group_steps(nonzero, reused):
         start = time.perf_counter()
-        computed = _complete_group(group, places[group[0].family], to_compute[group[0].name], results, values, dropped)
+        computed = _complete_group(group, points[group[0].family], to_compute[group[0].name], results, values, dropped)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
         ran |= {step.name: Ran(ms, results[step.name].nbytes, computed) for step in group}
-    values.forget_others({*to_compute, *places})
+    values.forget_others({*to_compute, *points})  # the levels of points are stored by family, too
     return results
 
 
-def _place_points(
+def _locate_points(
     heights: HeightField, request: EffectRequest, values: EffectValues
 ) -> tuple[dict[str, SamplePoints], dict[str, np.ndarray | None]]:
-    """Return by family the surface's points with their levels, and the indices of the new ones.
+    """Return the surface's points with their levels, and the indices of the new ones, each by family.
 
-    Points are new if the last surface lacks them or has them at another level; None where so
-    many are new that all are computed. `values` moves to this surface.
+    A family is the kind of reader, PICTURE or GEOMETRY, which decides the scale. Points are new if the last surface
+    lacks them or has them at another level; None in place of indices: so many are new that all points are computed.
+    request: the surface, its views and the plan. `values`, those of the last surface, move to this one.
     """
     scaling, positions = (request.vertical_scale, request.vertical_offset), values.move_to(request.surface.positions)
-    places, fresh = {}, {}
+    points, fresh = {}, {}
     for family in sorted({step.family for step in request.plan.steps}):
+        # Levels are stored like an attribute with the family's name.
         levels, last_levels = values.swap_arrays(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
             limit_levels(heights, positions, levels, values.threads)
         else:
             footprint_levels(heights, positions, request.views, request.placement, values.threads, levels)
-        places[family] = SamplePoints(heights, positions, levels, float(scaling[0]), float(scaling[1]), values.threads)
+        points[family] = SamplePoints(heights, positions, levels, float(scaling[0]), float(scaling[1]), values.threads)
         fresh[family] = values.find_fresh(levels, last_levels)
-    return places, fresh
+    return points, fresh
 
 
-def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
+def values_at(points: SamplePoints, requests: Iterable[AttributeRequest]) -> dict[str, np.ndarray]:
     """Return the values of attributes and of those that they read at points, by name, without a history.
 
     Raises TerrainError for parameters that cannot be used, and for values that are not finite. requests: the attributes
@@ -181,11 +194,11 @@ def values_at(places: SamplePoints, requests: Iterable[AttributeRequest]) -> dic
     """
     steps = list(plan(requests).steps)
     values: dict[str, np.ndarray] = {}
-    while steps:
+    while steps:  # one call computes the first step and all others of its function that are ready
         make = ATTRIBUTES[steps[0].name].make
         ready = [step for step in steps if {*ATTRIBUTES[step.name].reads_with(step.parameters)} <= {*values}]
         group = [step for step in ready if ATTRIBUTES[step.name].make is make]
-        values |= _compute_group(group, places, values)
+        values |= _compute_group(group, points, values)
         steps = [step for step in steps if step not in group]
     return values
 
@@ -214,8 +227,8 @@ def on_samples(
         z = field.heights(rows).astype(np.float64) * vertical_scale + vertical_offset
         positions = np.stack([*np.meshgrid(x, y), z], -1).astype(np.float32)
         levels = np.full(z.size, level, np.float32)
-        places = SamplePoints(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
-        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(places, requests).items()}
+        points = SamplePoints(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
+        yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(points, requests).items()}
 
 
 def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
@@ -225,7 +238,8 @@ def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: in
     of their computation.
     """
     effects = [ATTRIBUTES[step.name] for step in steps]
-    # Always held: two copies of the points and of the levels of both families, and the values of this surface.
+    # Always held, in numbers of NUMBER bytes: two copies of the points and of the levels of both families, and the
+    # values of this surface.
     bytes_left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
     dropped = set()
     for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
@@ -264,6 +278,7 @@ def _group_steps(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Gr
         last_read = max(
             (group_of.get(name, -1) for name in ATTRIBUTES[step.name].reads_with(step.parameters)), default=-1
         )
+        # The first group of this kind after those that compute what the step reads, or a new one.
         number = next((k for k in range(last_read + 1, len(order)) if order[k][0] == kind), len(order))
         if number == len(order):
             order.append((kind, []))
@@ -273,7 +288,7 @@ def _group_steps(steps: Sequence[AttributeRequest], reused: set[str]) -> list[Gr
 
 
 def _compute_group(
-    group: Sequence[AttributeRequest], places: SamplePoints, read: Mapping[str, np.ndarray]
+    group: Sequence[AttributeRequest], points: SamplePoints, read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Return the values at points of attributes that one function computes, by name.
 
@@ -281,16 +296,16 @@ def _compute_group(
     requests for these attributes.
     """
     wanted = {step.name: ATTRIBUTES[step.name].defaults() | dict(step.parameters) for step in group}
-    results = ATTRIBUTES[group[0].name].make(places, wanted, read)
+    results = ATTRIBUTES[group[0].name].make(points, wanted, read)
     for name, array in results.items():
         if not np.isfinite(array).all():
-            raise places.field.raster.damage(f"its heights give values of {name} that are not finite")
+            raise points.field.raster.damage(f"its heights give values of {name} that are not finite")
     return results
 
 
 def _complete_group(
     group: Group,
-    places: SamplePoints,
+    points: SamplePoints,
     which: np.ndarray | None,
     results: dict[str, np.ndarray],
     values: EffectValues,
@@ -304,12 +319,12 @@ def _complete_group(
     """
     read = {name: results[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
-        for name, array in _compute_group(group, places, read).items():
+        for name, array in _compute_group(group, points, read).items():
             values.put(name, array, drop_last=name in dropped)
             results[name] = array
-        return len(places)
+        return len(points)
     if len(which):
         read_there = {name: array[which] for name, array in read.items()}
-        for name, array in _compute_group(group, places.only(which), read_there).items():
+        for name, array in _compute_group(group, points.only(which), read_there).items():
             results[name][which] = array
     return len(which)

@@ -14,8 +14,8 @@ def evaluate_on(name: str, heights: np.ndarray, step: float, level: float = 0.0,
     """Return an attribute at the samples of a raster, without the two outermost on each side.
 
     Those lack neighbours. The result is float32 [rows - 4, columns - 4], or [rows - 4, columns - 4, width] for an
-    attribute of several values. step: metres between samples. level: level of the height pyramid, 0 for the raster's
-    own samples. parameters: of the attribute.
+    attribute of several values. name: the attribute's. heights: [rows, columns] metres. step: metres between samples.
+    level: level of the height pyramid, 0 for the raster's own samples. parameters: of the attribute.
     """
     field = from_array(np.asarray(heights, np.float32), step)
     requests = [AttributeRequest(name, (), parameters=tuple(parameters.items()))]

@@ -29,8 +29,8 @@ class ExrFile:
     ) -> None:
         """Create the file with its header and an empty table of offsets.
 
-        `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 16 or 32. `text`: comment
-        in the header. `pool` compresses blocks.
+        `side`: texels of a line, and lines unless `lines` is given. `channels`: their number, a key of NAMES. `depth`:
+        bits of a value, 16 or 32. `text`: comment in the header. `pool` compresses blocks.
         """
         names = sorted(NAMES[channels])
         self._order = [NAMES[channels].index(name) for name in names]  # channels are in alphabetical order
@@ -61,11 +61,12 @@ class ExrFile:
 
         Numbers beyond the range of half floats become the largest ones.
         """
+        # A line has all values of one channel, then those of the next, in the order of their names (`_order`).
         limit = np.finfo(self._dtype).max
         lines = np.clip(values, -limit, limit).astype(self._dtype).transpose(0, 2, 1)[:, self._order]
         for first in range(0, len(lines), BLOCK):
             self._waiting.append(self._pool.submit(_compress, lines[first : first + BLOCK].tobytes()))
-        while len(self._waiting) > 64:
+        while len(self._waiting) > 64:  # blocks, so that memory stays bounded
             self._write_oldest()
 
     def close(self) -> None:
@@ -91,7 +92,10 @@ class ExrFile:
 
 
 def _compress(data: bytes) -> bytes:
-    """Compress differences of the even bytes and then of the odd ones; return `data` if that saves nothing."""
+    """Compress a block as the format requires; return `data` if that saves nothing, which readers see by its size.
+
+    The even bytes come first, then the odd ones, each as its difference from the byte before plus 128.
+    """
     raw = np.frombuffer(data, np.uint8)
     split = np.concatenate([raw[::2], raw[1::2]])
     split[1:] = split[1:] - split[:-1] + np.uint8(128)

@@ -42,18 +42,20 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     def make() -> np.ndarray:
         """Compute the logarithms, float32 [rows, columns], where none are cached."""
         heights = level_of(field.raster, level, threads)
-        if sign != 1.0:
+        if sign != 1.0:  # a negative scale turns the ground upside down, and 0 makes it level
             heights = heights * np.float32(sign)
         drainage = route(heights, *steps, _holes_of_level(field, level), threads)
-        filled = drainage.filled()
+        filled = drainage.filled()  # the ground, with lakes up to their outlets
         area = drainage.areas(filled)
         drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet
         del heights, drainage, filled  # read by nothing below
         out = np.empty((rows, columns), np.float32)
-        inputs = [steps[0] * steps[1], flat(area, wp.float64), flat(out, wp.float32)]
+        cell_m2 = steps[0] * steps[1]  # `area` counts samples
+        inputs = [cell_m2, flat(area, wp.float64), flat(out, wp.float32)]
         launch.spread(catchment.take_logarithms, out.size, inputs, step="routing", threads=threads)
         return out
 
+    # From memory or the store, else from `make`. Water flows the same way under all scales of one sign.
     return whole("flow", VERSION, parameters=(sign,), field=field, lattice=fit(columns, rows, *steps), make=make)
 
 
@@ -67,25 +69,27 @@ def _holes_of_level(field: HeightField, level: int) -> np.ndarray | None:
     return np.pad(holes, ((0, rows - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the attribute flow at points: the drainage area in m^2, from one result for the whole raster.
 
-    wanted, read: unused, flow has no parameters and reads no attribute. Returns {"flow": float32 [n]}.
+    The logarithms of areas are interpolated. wanted, read: unused, since flow has no parameters and reads no attribute.
+    Returns {"flow": float32 [n]}.
     """
     from ...kernels import wp
     from ...kernels.effects import flow as kernels
 
-    field, out = places.field, np.empty(len(places), np.float32)
+    field, out = points.field, np.empty(len(points), np.float32)
     log_areas = scaled_pyramid(
-        logarithms(field, places.vertical_scale, places.threads),
+        logarithms(field, points.vertical_scale, points.threads),
         vertical_scale=1.0,
         vertical_offset=0.0,
-        threads=places.threads,
+        threads=points.threads,
     )
+    # The raster of areas may extend further, so its own origin differs; its south-western corner is the field's.
     log_areas.west, log_areas.south, _, _ = field.lattice.rectangle()
-    inputs = [log_areas, float(routed_level(field)), shared(places.positions, wp.vec3f), flat(places.level, wp.float32)]
+    inputs = [log_areas, float(routed_level(field)), shared(points.positions, wp.vec3f), flat(points.level, wp.float32)]
     launch.spread(
-        kernels.flow_at, len(places), [*inputs, flat(out, wp.float32)], step="flow", threads=places.threads, cost=3
+        kernels.flow_at, len(points), [*inputs, flat(out, wp.float32)], step="flow", threads=points.threads, cost=3
     )
     return {"flow": out}
 
@@ -94,12 +98,14 @@ def example(evaluate: Evaluate) -> None:
     """Assert that a point of a roof, whose rows drain separately, has the area up to the ridge.
 
     The ridge gives half to each side, and water leaves at the border.
+
+    evaluate: returns an attribute at the samples of a raster, without the two outermost on each side.
     """
     x = np.arange(17, dtype=np.float32)
     flow = evaluate("flow", np.tile(-abs(x - 8.0), (9, 1)), step=10.0).reshape(5, 13)
     samples = abs(x[2:-2] - 8.0) + 0.5
     samples[6] = 1.0  # the ridge
-    # Near the other two borders less enters over the diagonals.
+    # In the middle row, since near the other two borders less enters over the diagonals. A sample has 100 m2.
     assert abs(flow[2, 5:8] - 100.0 * samples[5:8]).max() < 1e-2
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Attributes of the ground's height and derivatives at a point: height, slope, aspect, curvatures and the normal.
 
-One kernel computes all requested ones, since they share the derivatives.
+One kernel computes all requested ones, since they share the derivatives. In the examples `evaluate` returns an
+attribute at the samples of a raster, without the two outermost on each side.
 """
 
 import math
@@ -34,7 +35,7 @@ OUTPUTS = {
 }
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute those of height, slope, aspect, curvatures and normals that `wanted` names, at points.
 
     They come from the heights' first and second derivatives at the scale of each point. wanted: parameters by name;
@@ -47,17 +48,18 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
 
     values, arrays, bits = kernels.Values(), {}, 0
     for name in wanted:
+        # The field of `values`, its Warp type, the bit in `wanted`, and the shape of a point's value.
         field, dtype, bit, shape = OUTPUTS[name]
-        arrays[name] = np.empty((len(places), *shape), np.float32)
+        arrays[name] = np.empty((len(points), *shape), np.float32)
         setattr(values, field, shared(arrays[name], getattr(wp, dtype)))
         bits += int(getattr(kernels, bit))
     values.wanted = bits
-    heights = scaled_pyramid(places.field.raster, places.vertical_scale, places.vertical_offset, places.threads)
-    finer = finer_heights(places.field.raster, places.threads)
-    inputs = [heights, finer, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), values]
-    launch.spread(kernels.from_jets, len(places), inputs, step="jets", threads=places.threads, cost=6)
+    heights = scaled_pyramid(points.field.raster, points.vertical_scale, points.vertical_offset, points.threads)
+    finer = finer_heights(points.field.raster, points.threads)
+    inputs = [heights, finer, shared(points.positions, wp.vec3f), flat(points.level, wp.float32), values]
+    launch.spread(kernels.from_jets, len(points), inputs, step="jets", threads=points.threads, cost=6)
     if "detail_normal" in arrays:
-        tilt(arrays["detail_normal"], wanted["detail_normal"].get("decals", ()), places)
+        tilt(arrays["detail_normal"], wanted["detail_normal"].get("decals", ()), points)
     return arrays
 
 

@@ -60,8 +60,8 @@ def displaced(
     """
     if not isinstance(ground, LayeredDetail):
         return with_detail(field, ground)
-    plain = with_detail(field, detail=None)
-    numbers = tuple(number for number, _ in ground.details)
+    plain = with_detail(field, detail=None)  # masks do not depend on the displacement
+    numbers = tuple(number for number, _ in ground.details)  # of the splat layers, each with its detail
     masks = _masks(plain, ground.layers, numbers, (float(vertical_scale), float(vertical_offset)), threads)
     # A layer without a mask.
     everywhere = [DisplacementLayer(ground.everywhere)] if ground.everywhere else []
@@ -102,12 +102,16 @@ def _compute_masks(
     from .evaluate import on_samples
 
     lattice, names = field.lattice, NAMES[: max(numbers) // 4 + 1]
-    versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())
+    versions = tuple((name, attribute.version) for name, attribute in ATTRIBUTES.items())  # rules may read any of them
     digest = hashlib.blake2b(repr((versions, layers, numbers, vertical)).encode(), digest_size=8).hexdigest()
     mask_array, maxima_array = f"masks_{digest}", f"mask_maxima_{digest}"  # their names
 
     def fill(arrays: dict[str, np.ndarray]) -> None:
-        """Compute the masks row by row, and their maxima (`LayerMask.max_cells`)."""
+        """Compute the masks row by row, and their maxima over cells, 2 x 2 cells and so on (`LayerMask.max_cells`).
+
+        arrays: to be filled, by name.
+        """
+        # A request names who reads the attribute; here KIND, the displacement of layers.
         requests = [AttributeRequest(name, (KIND,), parameters=(("layers", layers),)) for name in names]
         for rows, values in on_samples(field, requests, *vertical, threads):
             for mask, number in zip(arrays[mask_array], numbers, strict=True):
@@ -118,9 +122,11 @@ def _compute_masks(
 
     shapes = {
         mask_array: ((len(numbers), lattice.height, lattice.width), np.uint8),
-        maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),  # entries of `max_cells`
+        # The last item of `mask_levels` is the number of entries of `max_cells` on all levels together.
+        maxima_array: ((len(numbers), int(mask_levels(lattice)[-1])), np.uint8),
     }
     derived = derive_cached_if_large(field.raster, shapes, fill)
+    # Of other layers and scales, keep only the newest in the store.
     for name in shapes:
         remove_old(field, f"{name.removesuffix(digest)}*.npy", name, MAX_CACHED)
     return list(map(LayerMask, derived[mask_array], derived[maxima_array]))

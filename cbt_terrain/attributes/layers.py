@@ -26,7 +26,7 @@ KNOWN = (
 NAMES = tuple(name for name, _, _ in KNOWN)
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Interpolate the named layers of the terrain at points; 0 for one that it lacks.
 
     Layers are by-products of height operators, as the depth of water. wanted: parameters by name, which are empty.
@@ -37,15 +37,15 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
 
     values = {}
     for name in wanted:
-        values[name] = out = np.zeros(len(places), np.float32)
-        if name in places.field.layers:
-            raster = _as_raster(places.field, name)
+        values[name] = out = np.zeros(len(points), np.float32)
+        if name in points.field.layers:
+            raster = _as_raster(points.field, name)
             pyramid = scaled_pyramid(
-                raster, vertical_scale=1.0, vertical_offset=0.0, threads=places.threads, name=f"{PYRAMID}_{name}"
+                raster, vertical_scale=1.0, vertical_offset=0.0, threads=points.threads, name=f"{PYRAMID}_{name}"
             )
-            points = shared(places.positions, wp.vec3f), flat(places.level, wp.float32)
-            inputs = [pyramid, *points, flat(out, wp.float32)]
-            launch.spread(kernels.layer_at, len(places), inputs, step="layers", threads=places.threads, cost=3)
+            arrays = shared(points.positions, wp.vec3f), flat(points.level, wp.float32)
+            inputs = [pyramid, *arrays, flat(out, wp.float32)]
+            launch.spread(kernels.layer_at, len(points), inputs, step="layers", threads=points.threads, cost=3)
     return values
 
 

@@ -25,6 +25,7 @@ def azimuths() -> np.ndarray:
     The first 4, 8 or 16 of them are spread evenly. Square roots alone give the same bits on every machine.
     """
     root = math.sqrt(2.0)
+    # Of 11.25 and 33.75 degrees; the other two directions of a quarter exchange sine and cosine.
     cosines = [math.sqrt(2.0 + math.sqrt(2.0 + root)) / 2.0, math.sqrt(2.0 + math.sqrt(2.0 - root)) / 2.0]
     sines = [math.sqrt(2.0 - math.sqrt(2.0 + root)) / 2.0, math.sqrt(2.0 - math.sqrt(2.0 - root)) / 2.0]
     east = [cosines[0], cosines[1], sines[1], sines[0]]
@@ -60,11 +61,12 @@ def strongest(suns: Iterable[Iterable[float]]) -> tuple[float, float, float, flo
 
 
 def strips_of(sun: tuple[float, float, float, float]) -> dict[str, object] | None:
-    """Return the inputs of the kernel `sun_seen`, None if the whole disc is below the horizontal.
+    """Return a sun as inputs of `sun_seen`, the kernel that finds the visible fraction of its disc.
 
     They are the elevation and radius in radians, the slopes `low` and `high` to its lower and upper edge, and upright
-    strips of the disc: azimuth (cosine, sine), and half the height in radii. Single precision hides the last bits of
-    the C library's sines. sun: x, y, z towards it and the angle of its disc in radians.
+    strips of the disc: azimuth (cosine, sine), and half the height in radii. None if the whole disc is below the
+    horizontal. Single precision hides the last bits of the C library's sines. AROUND widens the range of slopes against
+    rounding, and HIGHEST keeps them finite. sun: x, y, z towards it and the angle of its disc in radians.
     """
     from ...kernels import wp
     from ...kernels.effects.light import SunStrip

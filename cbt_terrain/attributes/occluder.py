@@ -21,14 +21,14 @@ AT_ONCE = 1 << 14
 MARGIN = 1e-9
 
 
-def occluder_of(places: SamplePoints) -> kernels.Occluder:
-    """Return the ground of a field at the vertical scale of `places`, with a tree of blocks by which rays skip ground.
+def occluder_of(points: SamplePoints) -> kernels.Occluder:
+    """Return the ground of a field at the vertical scale of `points`, with a tree of blocks by which rays skip ground.
 
     The blocks are cached with the field. Heights are without the vertical offset, detail and finer tiles.
     """
-    occluder = occluder_without_blocks(places.field, places.vertical_scale)
+    occluder = occluder_without_blocks(points.field, points.vertical_scale)
     # A negative scale turns the ground upside down.
-    reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, places.field
+    reduce, field = np.minimum if occluder.scale < 0.0 else np.maximum, points.field
     # Extremes of blocks, and the first block and the blocks a row of each level.
     tops, first, wide = extremes(field, reduce)
     occluder.tops, occluder.first, occluder.wide = flat(tops, wp.float32), flat(first, wp.int64), flat(wide, wp.int32)
@@ -47,19 +47,19 @@ def occluder_without_blocks(field: HeightField, scale: float) -> kernels.Occlude
     occluder.step_x, occluder.step_y = lattice.step_x, lattice.step_y
     occluder.scale = scale
     low, high = field.min_height * scale, field.max_height * scale
-    occluder.margin = MARGIN * max(abs(low), abs(high))
+    occluder.margin = MARGIN * max(abs(low), abs(high))  # metres, more than the rounding of a height
     occluder.highest = max(low, high)
-    occluder.levels = 0
+    occluder.levels = 0  # of blocks
     return occluder
 
 
-def launch_at_points(kernel: wp.Kernel, places: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
+def launch_at_points(kernel: wp.Kernel, points: SamplePoints, inputs: list, out: np.ndarray, cost: float) -> None:
     """Launch a kernel over points, AT_ONCE at a time, and let it fill `out`, float32 [n].
 
     inputs: its arguments before the points and the result. cost: of a point, relative to a lookup and a few operations.
     """
-    for first in range(0, len(places), AT_ONCE):
+    for first in range(0, len(points), AT_ONCE):
         block = slice(first, first + AT_ONCE)
-        positions = np.ascontiguousarray(places.positions[block], np.float32)
+        positions = np.ascontiguousarray(points.positions[block], np.float32)
         values = [*inputs, shared(positions, wp.vec3f), flat(out[block], wp.float32)]
-        launch.spread(kernel, len(positions), values, step="light", threads=places.threads, cost=cost)
+        launch.spread(kernel, len(positions), values, step="light", threads=points.threads, cost=cost)

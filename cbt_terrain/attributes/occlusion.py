@@ -13,36 +13,39 @@ from .light import AZIMUTHS, azimuths
 ANY = -1e300
 
 
-def visible_sky(places: SamplePoints, far: float, lowest: float) -> np.ndarray:
+def visible_sky(points: SamplePoints, far: float, lowest: float) -> np.ndarray:
     """Return the visible fraction of the sky at points, weighted by the cosine, float32 [n], by rays from each point.
 
-    The sweeps of sky.py are faster, but know no distance of the ground that hides. Ground farther than `far` metres
-    does not hide; all below the slope `lowest` is hidden, as if it were a horizon. Points count at
-    the height of the raster's ground, without displacement.
+    Ground farther than `far` metres does not hide. All sky below the slope `lowest` is hidden, as if there were a
+    horizon. Points count at the height of the raster's ground, without displacement. (Sweeps, as in sky.py, are faster,
+    but they do not measure how far the ground that hides is.)
     """
     from ...kernels import wp
     from ...kernels.effects.light import sky_seen
     from .occluder import launch_at_points, occluder_of
 
-    out = np.zeros(len(places), np.float32)
+    out = np.zeros(len(points), np.float32)
     directions = wp.array(azimuths(), dtype=wp.vec2d, device=launch.DEVICE)
     first_azimuth = 0
-    inputs = [occluder_of(places), wp.float64(far), wp.float64(lowest), directions, first_azimuth, AZIMUTHS]
-    launch_at_points(sky_seen, places, inputs, out, cost=2000.0)
+    inputs = [occluder_of(points), wp.float64(far), wp.float64(lowest), directions, first_azimuth, AZIMUTHS]
+    launch_at_points(sky_seen, points, inputs, out, cost=2000.0)
     return out
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute ambient occlusion at points: 1 for open ground, less where ground within a radius hides the sky.
 
     wanted: {"ambient_occlusion": {"radius": metres}}. read: unused. Returns {"ambient_occlusion": float32 [n]}.
     """
     radius = float(wanted["ambient_occlusion"]["radius"])
-    return {"ambient_occlusion": visible_sky(places, far=radius, lowest=ANY)}
+    return {"ambient_occlusion": visible_sky(points, far=radius, lowest=ANY)}  # no slope hides the sky by itself
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a steep plane hides nothing of its half space, and that a high wall hides half of it at its foot."""
+    """Assert that a steep plane hides nothing of its half space, and that a high wall hides half of it at its foot.
+
+    evaluate: returns an attribute at the samples of a raster, without the two outermost on each side.
+    """
     east = np.arange(41, dtype=np.float32) * 2.0
     assert abs(evaluate("ambient_occlusion", np.tile(east, (41, 1)), step=2.0) - 1.0).max() < 1e-6
     wall = np.tile(np.where(east >= 40.0, np.float32(1e4), np.float32(0.0)), (41, 1))

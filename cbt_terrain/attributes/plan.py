@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plans: requested attributes and those that they read, in the order of computation."""
+"""Plans: requested attributes and those that they read, in the order of computation.
+
+The readers of an attribute are names of what uses it, its family is their kind: GEOMETRY if any of them makes geometry,
+else PICTURE.
+"""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -30,8 +34,9 @@ class AttributePlan:
 def plan(requests: Iterable[AttributeRequest]) -> AttributePlan:
     """Return the plan that computes the requested attributes, with those that they read, in order.
 
-    Names outside the catalogue belong to others and are ignored. An attribute that others read has its default
-    parameters unless it was requested, too. Raises TerrainError for an unknown parameter or an invalid value.
+    Names outside the catalogue are ignored, since a mesh has attributes from other sources, too. An attribute that
+    others read has its default parameters unless it was requested. Raises TerrainError for an unknown parameter or an
+    invalid value.
     """
     merged: dict[str, AttributeRequest] = {}
     for request in requests:
@@ -59,7 +64,7 @@ def kernels_of_steps(plan: AttributePlan) -> list[ModuleType]:
 
 
 def _merge(one: AttributeRequest, other: AttributeRequest) -> AttributeRequest:
-    """Merge two requests for an attribute. GEOMETRY wins, since all that geometry reads has one scale.
+    """Merge two requests for an attribute. Geometry wins, since all that it reads has one scale.
 
     Parameters of `other` replace those of `one` with the same name.
     """

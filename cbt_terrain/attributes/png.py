@@ -28,12 +28,14 @@ class PngFile:
     ) -> None:
         """Create the file with its header.
 
-        `side`: texels of a line, and lines unless `lines` is given. `depth`: bits of a value, 8 or 16. `text`: comment
-        in the header. `pool` compresses bands while the next ones are computed.
+        `side`: texels of a line, and lines unless `lines` is given. `channels`: their number, a key of COLOUR. `depth`:
+        bits of a value, 8 or 16. `text`: comment in the header. `pool` compresses bands while the next ones are
+        computed.
         """
         self._waiting: list[Future] = []
         self._pool, lines = pool, lines or side
-        self._adler, self._bytes_left = 1, lines * (1 + side * channels * depth // 8)  # of rows to come
+        # The checksum of the rows so far, and the bytes of those to come: each has one byte for its filter.
+        self._adler, self._bytes_left = 1, lines * (1 + side * channels * depth // 8)
         self._file = open(path, "wb")
         self._file.write(SIGNATURE)
         self._write_chunk(b"IHDR", struct.pack(">IIBBBBB", side, lines, depth, COLOUR[channels], 0, 0, 0))
@@ -100,6 +102,7 @@ def comment_of(path: Path) -> str | None:
             is_complete = file.read() == END
     except OSError:
         return None
+    # A chunk: length of its content, type, content (keyword, 0, text).
     start = head.find(b"tEXt" + KEYWORD + b"\0")
     if not is_complete or not head.startswith(SIGNATURE) or start < 4:
         return None

@@ -48,14 +48,15 @@ def scaled_pyramid(
 
 
 def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray:
-    """Return the levels above the samples, float32, concatenated, the finest first, from the raster's store if it can.
+    """Return the levels above the samples, float32, concatenated, the finest first.
 
-    Each has half the resolution of the one before.
+    Each has half the resolution of the one before. Those of a large raster come from its store, or are cached there.
+    name: of the array in the store.
     """
     from ...kernels.effects import pyramid as kernels
 
     def halve(arrays: dict[str, np.ndarray]) -> None:
-        """Fill the array level by level."""
+        """Fill the array of the coarser levels, one of `arrays` by name, level by level."""
         packed = pack_pyramid(raster, arrays[name])
         for level in range(1, packed.levels):
             rows, columns = samples_by_level(raster.lattice)[level]

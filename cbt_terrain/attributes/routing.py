@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Drainage of a whole raster: receivers, order, filled surface and areas; kernels/effects has the methods."""
+"""Drainage of a whole raster: receivers, order, filled surface and areas; kernels/effects has the methods.
+
+The receiver of a sample is the neighbour that its water flows to; the sample is a donor of that one. Water leaves at
+the samples of `base`. A pit is the lowest sample of a depression, or the first one of several; all that drains to it is
+its basin. Arrays have an entry for each of n samples, in C order.
+"""
 
 import math
 from dataclasses import dataclass
@@ -61,7 +66,7 @@ class Drainage:
         """
         d = self.packed(filled)
         launch.once(catchment.sort_order, [d, *_scratch_of_sort(len(self.to))], step="routing")
-        area = np.ones(len(self.to))
+        area = np.ones(len(self.to))  # of each sample alone, to which the kernel adds those upstream
         d.area = flat(area, wp.float64)
         launch.once(catchment.gather_area, [d], step="routing")
         return area
@@ -89,9 +94,10 @@ def route(
     """Route water over heights, float32 [rows, columns] metres, samples `step_x` and `step_y` metres apart.
 
     Water leaves at the border and in `holes` (bool, same shape). Depressions drain over their lowest passes, flats
-    along the shortest paths. noise: in the choice of receivers. cell_weight: float64 of the same shape, weight of
-    each sample in `catchments`, None to compute none. The result does not depend on `threads`. heights:
-    without NaN, at least two rows and columns; the result shares their memory if they are contiguous.
+    along the shortest paths. noise: random factors of slopes where receivers are chosen, which break straight lines;
+    None for none. cell_weight: float64 of the same shape, weights whose sums over all samples upstream become the
+    `catchments` of the result; None to compute none. The result does not depend on `threads`. heights: without NaN, at
+    least two rows and columns; the result shares their memory if they are contiguous.
     """
     rows, columns = heights.shape
     base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
@@ -100,6 +106,7 @@ def route(
     base, h = base.reshape(-1), heights.reshape(-1)
     grid = grid_of(rows, columns, step_x, step_y)
     to = _find_receivers(grid, h, base, noise, threads)
+    # Weights at first; `_order_samples` turns them into sums in place.
     area = np.empty(0) if cell_weight is None else cell_weight.astype(np.float64).reshape(-1)
     return Drainage(grid, h, base, to, _order_samples(grid, to, area, threads), area)
 
@@ -109,9 +116,11 @@ def _find_receivers(
 ) -> np.ndarray:
     """Return the directions of all receivers, uint8 [n], also out of depressions and over flats.
 
-    h: heights, float32 [n] metres. base: uint8 [n], 1 where water leaves. noise: in the choice, None for none.
+    h: heights, float32 [n] metres. base: uint8 [n], 1 where water leaves. noise: random factors of slopes, None for
+    none.
     """
-    # The system commits memory of the queue only for samples of flats.
+    # `cross_flats` uses `order` as its queue, of which the system commits memory only for samples of flats. It counts
+    # the pits, samples to which flats without an outlet drain, and gives them the labels 2, 3 ...
     to, queue, pits = np.empty(len(h), np.uint8), np.empty(len(h), np.int32), np.zeros(1, np.int32)
     d = kernels.DrainageArrays()
     d.grid, d.h, d.base, d.to = grid, flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
@@ -131,6 +140,7 @@ def _order_samples(grid: kernels.Grid, to: np.ndarray, area: np.ndarray, threads
     to: directions of receivers, uint8 [n]. area: weights of samples, float64 [n], which become drainage areas in place;
     empty for none.
     """
+    # `donors`: numbers of donors, counted down until a sample has none left and can follow them in the order.
     donors, order = np.empty(len(to), np.uint8), np.empty(len(to), np.int32)
     d = kernels.DrainageArrays()
     d.grid, d.to, d.donors, d.order = grid, flat(to, wp.uint8), flat(donors, wp.uint8), flat(order, wp.int32)
@@ -164,8 +174,9 @@ def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Gr
 def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None") -> wp.vec3f:
     """Return 1 / metres along x, along y and diagonally, for the choice of receivers.
 
-    With noise the values have factors, without which paths would turn towards diagonals and long steps (see DIAGONAL).
-    noise: on the choice, None without; then no factor is needed.
+    With noise, paths would turn towards diagonals and towards the longer steps. So the value of an axis is multiplied
+    by the square root of the other axis's step over its own, and that of diagonals by DIAGONAL. noise: random factors
+    of slopes; None, or without jitter, for none.
     """
     if noise is None or noise.jitter == 0.0:
         return grid.inverse_distance
@@ -182,6 +193,7 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     """
     width, height = d.grid.width, d.grid.height
     spread = partial(launch.spread, step="routing", threads=threads)
+    # Label all samples by basin, BLOCK of them an item; `start`: number of passes in each row.
     spread(routing.label_basins, -(-width * height // BLOCK), [BLOCK, d], cost=BLOCK)
     start = np.zeros(height + 1, np.int64)
 
@@ -194,12 +206,13 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
         spread(routing.find_passes, height - 1, inputs, cost=width / 8)
 
     launch_search(emit=0, edge=np.empty(1, np.int32))
+    # Numbers of passes by row become the number of the first pass of each row.
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     count = int(start[-1])
     edge = np.empty(count, np.int32)
     launch_search(emit=1, edge=edge)
     launch.once(routing.sort_passes, [count, d, flat(edge, wp.int32), *_scratch_of_sort(count)], step="routing")
-    # Of each basin in the sets of linked basins, at first itself. Label 1 is all outlets; those of pits begin at 2.
+    # Union-find: the parent of each basin, at first itself. Label 1 is all outlets; those of pits begin at 2.
     parents = np.arange(pits + 2, dtype=np.int32)
     launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(parents, wp.int32)], step="routing")

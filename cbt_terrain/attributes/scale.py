@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scale of attributes: a level of the pyramid for each point.
 
-Levels have steps of 1/8, so that most values keep their bits under a slow camera.
+Level 0 is the raster's samples, and level j has 2^j times their spacing; levels below 0 exist in finer tiles. Levels
+have steps of 1/8, so that most values keep their bits under a slow camera.
 """
 
 import math
@@ -33,6 +34,7 @@ def fixed_level(field: HeightField, metres: float) -> float:
         problem = f"The scale of effects for geometry is {metres} m"
         raise TerrainError(problem, expected="a distance, or 0 for the raster's")
     finest = 2.0 ** min_level(field.raster)
+    # The last bits of the C library's logarithms differ by machine.
     steps = round_last_bits(math.log2(max(metres / _spacing(field), finest))) * STEPS_PER_LEVEL
     return min(math.floor(steps + 0.5) / STEPS_PER_LEVEL, _max_level(field))
 
@@ -56,10 +58,10 @@ def footprint_levels(
     finest = min_level(field.raster)
     if not views:
         levels[:] = finest
-        limit_levels(field, positions, levels, threads)
+        limit_levels(field, positions, levels, threads)  # not below 0 where only the raster is known
         return levels
     placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
-    levels[:] = np.inf  # the kernel takes the minimum
+    levels[:] = np.inf  # the kernel takes the minimum over the views
     eyes = wp.array(
         [_footprint_eye(field, view, placement) for view in views], dtype=kernels.FootprintEye, device=launch.DEVICE
     )
@@ -89,6 +91,7 @@ def _footprint_eye(field: HeightField, view: View, placement: np.ndarray) -> ker
     """
     to_camera = product(view.world_to_camera, placement)
     eye = kernels.FootprintEye()
+    # The distance of a point p from the camera is the length of linear p + shift.
     eye.linear, eye.shift = wp.mat33d(to_camera[:3, :3]), wp.vec3d(to_camera[:3, 3])
     if view.kind == ORTHOGRAPHIC:  # all points are at unit distance
         eye.linear, eye.shift = wp.mat33d(), wp.vec3d(1.0, 0.0, 0.0)
@@ -104,6 +107,7 @@ def _min_stretch(across: np.ndarray) -> float:
     """
     a, b = length(across[:, 0]), length(across[:, 1])
     dot = float(add_up(across[:, 0] * across[:, 1]))
+    # Square of the larger singular value. The squares of both multiply to a^2 b^2 - dot^2.
     largest2 = (a * a + b * b + length((a * a - b * b, 2 * dot))) / 2
     return math.sqrt(max(a * a * b * b - dot * dot, 0.0) / largest2)
 

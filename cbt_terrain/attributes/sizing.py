@@ -67,8 +67,8 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: f
     """Return the footprint of one view at the nearest point of each box, or less, float64 [tiles] metres.
 
     boxes: lowest and highest corners in the terrain's space, float64 [tiles, 2, 3] metres. placement: matrix from there
-    to the world. nearest: shortest distance that counts, metres in the terrain's space. In an orthographic view the
-    distance does not matter.
+    to the world. nearest: shortest distance that counts, metres in the terrain's space. A pixel covers 1 /
+    `pixels_per_unit` camera units at distance 1; in an orthographic view, at any distance.
     """
     to_camera = product(view.world_to_camera, placement)
     linear = to_camera[:3, :3]
@@ -78,7 +78,7 @@ def _footprints(boxes: np.ndarray, view: View, placement: np.ndarray, nearest: f
     else:
         eye = eye_of(to_camera)
         away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0) * stretch
-        # As in local_view.py: shear may make a distance shorter than its components suggest.
+        # Shear may make a distance shorter than its components suggest, by at most this factor.
         distance = min_stretch(linear / stretch) * np.sqrt((away * away).sum(axis=1))
         distance = np.maximum(distance, nearest * stretch.min())
     # The axis of larger stretch has the smaller footprint on the ground.
@@ -95,7 +95,7 @@ def _in_frame(boxes: np.ndarray, view: View, placement: np.ndarray) -> np.ndarra
     to_camera = product(view.world_to_camera, placement)
     for a, b, c, d in product(frustum_planes(view, margins=(0.0, 0.0)), to_camera):  # positive on the inside
         normal = np.array([a, b, c])
-        farthest = np.where(normal > 0, boxes[:, 1], boxes[:, 0])
+        farthest = np.where(normal > 0, boxes[:, 1], boxes[:, 0])  # the box's corner that is furthest inside
         inside &= (farthest * normal).sum(axis=1) + d >= 0
     return inside
 

@@ -17,7 +17,7 @@ from .light import azimuths
 FULL, PREVIEW = "FULL", "PREVIEW"
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the visible fraction of the sky at points, 0 to 1, from sweeps over the whole raster.
 
     wanted: {"sky": {"quality": FULL or PREVIEW}}; a preview uses coarse heights and fewer azimuths. read: unused.
@@ -28,13 +28,13 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     from .occluder import launch_at_points, occluder_without_blocks
     from .sky_layer import PREVIEW_AZIMUTHS, preview_horizons, sky_layer
 
-    field, scale, out = places.field, places.vertical_scale, np.empty(len(places), np.float32)
+    field, scale, out = points.field, points.vertical_scale, np.empty(len(points), np.float32)
     if wanted["sky"]["quality"] == PREVIEW:
         directions = wp.array(azimuths()[:PREVIEW_AZIMUTHS], dtype=wp.vec2d, device=launch.DEVICE)
-        inputs = [occluder_without_blocks(field, scale), preview_horizons(field, scale, places.threads), directions]
-        launch_at_points(sky_between, places, inputs, out, cost=25.0)
+        inputs = [occluder_without_blocks(field, scale), preview_horizons(field, scale, points.threads), directions]
+        launch_at_points(sky_between, points, inputs, out, cost=25.0)
     else:
-        launch_at_points(layer_at_points, places, [sky_layer(field, scale, places.threads)], out, cost=2.0)
+        launch_at_points(layer_at_points, points, [sky_layer(field, scale, points.threads)], out, cost=2.0)
     return {"sky": out}
 
 

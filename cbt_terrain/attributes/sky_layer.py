@@ -5,7 +5,8 @@ It is computed at every sample or, for a large raster, at the finest level with 
 coarse level.
 
 It is cached with the field and, when complete, in its store, for the last MAX_SCALES vertical scales. An interrupted
-computation continues from the last complete azimuth.
+computation continues from the last complete azimuth: its state is the number of `azimuths` that are complete, of
+AZIMUTHS, and `sky`, the sum of their shares at each sample.
 """
 
 import numpy as np
@@ -69,10 +70,10 @@ def advance(field: HeightField, scale: float, threads: int) -> bool:
 def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
     """Add one azimuth, if one is missing, to the sky over the raster and return the state.
 
-    The state has `azimuths`, the number of those that were added, and `sky`, float32 [rows, columns], their sum so far.
-    Further calls complete it, so that a caller can show progress and stop between them. scale: vertical scale.
+    The state has `azimuths`, a number, and `sky`, float32 [rows, columns], 0 .. 1 when complete. Further calls complete
+    it, so that a caller can show progress and stop between them. scale: vertical scale.
     """
-    with caching:
+    with caching:  # the lock of cached results
         state = _layer_state(field, scale)
         if state["azimuths"] < AZIMUTHS:
             level = layer_level(field)
@@ -81,10 +82,12 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             rows, columns = heights.shape
             azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, horizons)
-            sums = state.pop("sky", None)  # a child forked now starts again, without half-added sums
+            # Removed while the kernel adds: a process forked meanwhile sees no half-added sums and starts again.
+            sums = state.pop("sky", None)
             sums = np.zeros(heights.shape, np.float32) if sums is None else sums
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
+            # Slopes are differences of heights times `per_cell`, which has the vertical scale in it.
             sky.per_cell, sky.azimuth = wp.vec2f(scale / steps[0], scale / steps[1]), wp.vec2f(*azimuth)
             sky.share = 1.0 / AZIMUTHS
             sky.heights, sky.horizons, sky.out = (flat(a, wp.float32) for a in (heights, horizons, sums))
@@ -125,6 +128,7 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
     They are slopes, float32 [azimuths, rows, columns], packed for kernels and cached with the field. scale: vertical
     scale.
     """
+    # The finest level from PREVIEW_LEVEL on with at most PREVIEW_SAMPLES samples.
     level = level_with(field.lattice, PREVIEW_SAMPLES, PREVIEW_LEVEL)
     with caching:
         state = _cache_entry(field, PREVIEW, scale)
@@ -163,14 +167,17 @@ def sweep(
     s.major, s.minor = (rows, columns) if upright else (columns, rows)
     s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
     along, across = (north, east) if upright else (east, north)
+    # From one sample along the major axis to the next, a line moves `slope` minor samples and is `metres` long.
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     s.phase = s.slope * first[0 if upright else 1] % 1.0  # part of a sample by which the larger raster's lines shift
     reach = s.slope * (s.major - 1)  # samples that a line moves along the minor axis across the raster
-    # Number of the first line: the minor sample, without the phase, where its major sample is 0.
+    # A line's number is the minor sample, without the phase, where it is at major sample 0. The first one reaches minor
+    # sample 0 at one of the two ends of the raster.
     s.first = int(np.floor(min(-reach, 0.0) - s.phase))
     # One line beyond the last sample, since a sample is on a line or between it and the next.
     s.lines = int(np.floor(s.minor - 1 + max(-reach, 0.0))) - s.first + 2
-    items = -(-s.lines // kernels.LINES)
+    items = -(-s.lines // kernels.LINES)  # of work: each sweeps LINES lines, one after another
+    # Scratch of each item, for one line: the heights along it, and the convex hull of those already passed.
     points = items * s.major
     s.profiles, s.hulls = flat(np.empty(points), wp.float64), flat(np.empty(points, np.int32), wp.int32)
     slopes = np.empty(2 * points, np.float32)  # of a line and of the one before

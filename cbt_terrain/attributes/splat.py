@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Splat layers: weights of up to twelve layers at a point, four for each attribute, by one kernel.
 
-Rules read other attributes, which are computed once for all their readers.
+Rules read other attributes, which are computed once for all their readers. A rule is an interval of one quantity with
+soft edges, and a layer covers a point by the product of its rules.
 """
 
 import math
@@ -27,7 +28,7 @@ NAMES = ("splat_1", "splat_2", "splat_3")
 MIN_EDGE = 1e-30
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute splat weights at points: the share of the ground of each of up to twelve layers, four for each attribute.
 
     Shares are 0 to 1 and add up to 1; numbers beyond the last layer are 0. wanted: the parameter `layers` for each of
@@ -37,12 +38,12 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     weights: dict[str, np.ndarray] = {}
     for layers in dict.fromkeys(values["layers"] for values in wanted.values()):
         names = [name for name in wanted if wanted[name]["layers"] == layers]
-        weights |= _weights(places, layers, names, read)
+        weights |= _weights(points, layers, names, read)
     return weights
 
 
 def _weights(
-    places: SamplePoints, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
+    points: SamplePoints, layers: tuple[Layer, ...], names: list[str], read: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
     """Return the weights of the layers at points, float32 [n, 4] for each of `names` (splat_1 ...).
 
@@ -51,8 +52,8 @@ def _weights(
     from ...kernels import wp
     from ...kernels.effects import splat as kernels
 
-    field, lattice, count = places.field, places.field.lattice, len(places)
-    ends = (end * places.vertical_scale + places.vertical_offset for end in (field.min_height, field.max_height))
+    field, lattice, count = points.field, points.field.lattice, len(points)
+    ends = (end * points.vertical_scale + points.vertical_offset for end in (field.min_height, field.max_height))
     tables = _tables(layers, *sorted(ends))
     splat = kernels.Splat()
     splat.layers, splat.rules, splat.images = tables
@@ -64,9 +65,9 @@ def _weights(
     weights = {name: np.empty((count, 4), np.float32) for name in names}
     unused = np.empty((0, 4), np.float32)
     outputs = [shared(weights.get(name, unused), wp.vec4f) for name in NAMES]
-    bits = sum(int(1 << NAMES.index(name)) for name in names)
-    inputs = [splat, shared(places.positions, wp.vec3f), flat(places.level, wp.float32), bits, *outputs]
-    launch.spread(kernels.splats, count, inputs, step="splats", threads=places.threads, cost=2 + 2 * len(layers))
+    bits = sum(int(1 << NAMES.index(name)) for name in names)  # of the outputs that the kernel writes
+    inputs = [splat, shared(points.positions, wp.vec3f), flat(points.level, wp.float32), bits, *outputs]
+    launch.spread(kernels.splats, count, inputs, step="splats", threads=points.threads, cost=2 + 2 * len(layers))
     return weights
 
 
@@ -99,7 +100,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
         struct.seed = wp.uint32(layer.seed * 0x85EBCA6B & 0xFFFFFFFF)  # so that small seeds differ in high bits, too
         structs.append(struct)
         for rule in layer.rules:
-            if rule.of in READ_FROM:
+            if rule.of in READ_FROM:  # the attribute that a quantity is read from
                 source = rows[READ_FROM[rule.of]]
             elif rule.of == splat_rules.LAYER:
                 source = rule.other
@@ -109,6 +110,7 @@ def _tables(layers: tuple[Layer, ...], lowest: float, highest: float) -> "tuple[
             if rule.of == splat_rules.IMAGE and rule.image is not None:
                 images.append(rule.image.values.reshape(-1))
     pixels = np.concatenate(images) if images else np.empty(0, np.float32)
+    # A layer without rules covers all ground; an unused rule keeps the array of rules from being empty.
     arrays = (structs, kernels.SplatLayer), (rules or [kernels.SplatRule()], kernels.SplatRule)
     return *(wp.array(items, dtype=kind, device=launch.DEVICE) for items, kind in arrays), flat(pixels, wp.float32)
 
@@ -124,7 +126,7 @@ def _rule(rule: Rule, source: int, lowest: float, highest: float) -> "kernels.Sp
 
     limits, edge = np.array([rule.low, rule.high]), rule.edge
     if rule.of == splat_rules.RELIEF:
-        # Level terrain has relief 0 everywhere, whatever the range in its place, so it gets one that is not 0.
+        # Level terrain has no range of heights. Any number but 0 in its place gives it the relief 0 everywhere.
         relief = highest - lowest or max(abs(lowest), 1.0)
         limits, edge = lowest + limits * relief, edge * relief
     elif rule.of == splat_rules.FLOW:
@@ -140,7 +142,7 @@ def _rule(rule: Rule, source: int, lowest: float, highest: float) -> "kernels.Sp
     packed = kernels.SplatRule()
     packed.kind, packed.at = kinds.get(rule.of, kernels.VALUE), source
     packed.low, packed.high, packed.edge = *limits, edge
-    packed.per_edge = 1.0 / max(edge, MIN_EDGE)
+    packed.per_edge = 1.0 / max(edge, MIN_EDGE)  # weights rise by this; MIN_EDGE stands for a sharp edge of 0
     packed.sine, packed.cosine = math.sin(rule.direction), math.cos(rule.direction)
     if rule.image is not None:
         packed.rows, packed.columns = rule.image.values.shape
@@ -148,7 +150,10 @@ def _rule(rule: Rule, source: int, lowest: float, highest: float) -> "kernels.Sp
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that rock above 30 degrees covers no plane of 20 degrees and all of one of 40; weights add up to 1."""
+    """Assert that rock above 30 degrees covers no plane of 20 degrees and all of one of 40; weights add up to 1.
+
+    evaluate: returns an attribute at the samples of a raster, without the two outermost on each side.
+    """
     rock = Layer("Rock", (Rule("slope", low=math.radians(30), edge=math.radians(4)),), on_top=True)
     east = np.arange(17, dtype=np.float32) * 10.0
     for degrees, share in ((20, 0.0), (40, 1.0)):

@@ -13,7 +13,7 @@ from .light import strips_of, strongest
 AFTERNOON = (-0.5, -0.5, 0.5 * math.sqrt(2.0), 0.00918)
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the fraction of the sun's disc that each point sees above the ground, 0 to 1; 0 without a sun.
 
     Points count at the height of the raster's ground, without displacement. wanted: {"sun": {"suns": lights of the
@@ -26,16 +26,19 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
 
     sun = strongest(wanted["sun"]["suns"])
     disc = None if sun is None else strips_of(sun)  # None below the horizontal
-    out = np.zeros(len(places), np.float32)
+    out = np.zeros(len(points), np.float32)
     if disc is not None:
         numbers = [wp.float64(disc[name]) for name in ("elevation", "radius", "low", "high")]
-        inputs = [occluder_of(places), *numbers, disc["strips"]]
-        launch_at_points(sun_seen, places, inputs, out, cost=300.0)
+        inputs = [occluder_of(points), *numbers, disc["strips"]]
+        launch_at_points(sun_seen, points, inputs, out, cost=300.0)
     return {"sun": out}
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert that a wall of 20 m under a sun 45 degrees high in the east casts a shadow of 20 m to the west."""
+    """Assert that a wall of 20 m under a sun 45 degrees high in the east casts a shadow of 20 m to the west.
+
+    evaluate: returns an attribute at the samples of a raster, without the two outermost on each side.
+    """
     east = np.arange(41, dtype=np.float32) * 2.0
     wall = np.tile(np.where(east >= 50.0, np.float32(20.0), np.float32(0.0)), (41, 1))
     lit = evaluate("sun", wall, step=2.0, suns=((1.0, 0.0, 1.0, 0.00918),))

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values of attributes for a surface and for the last one, in two sets of arrays that alternate."""
+"""Values of attributes for a surface and for the last one, in two sets of arrays that alternate.
+
+An array is stored under the name of its attribute; the points are one of them, and so are their levels. Points that
+both surfaces have are found as runs of consecutive ones: values there are copied.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -15,8 +19,8 @@ from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import flat, shared
 
-PLACES = "places"
-MAX_FRESH = 0.75
+PLACES = "places"  # name of the points' array, float32 [V, 3], among those of attributes and levels
+MAX_FRESH = 0.75  # fraction of points to compute above which computing all is faster
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,8 @@ class EffectValues:
         self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
         self._count = self._last_count = 0  # points of this surface and of the last one
         self._zeros: dict[int, np.ndarray] = {}  # for `zeros`, by width
-        self._runs = np.empty((0, 3), np.int32)  # points of both surfaces (`_match_runs`)
+        # Runs of points of both surfaces: first point in this one, first in the last one, count.
+        self._runs = np.empty((0, 3), np.int32)
 
     @property
     def nbytes(self) -> int:
@@ -55,10 +60,10 @@ class EffectValues:
         Return a copy of the points, which is valid until the second next call.
         """
         self._last_count, self._count = self._count, len(positions)
-        places, last = self.swap_arrays(PLACES, 3)
-        launch.together([partial(np.copyto, places[a:b], positions[a:b]) for a, b in self._point_ranges()])
-        self._runs = np.empty((0, 3), np.int32) if last is None else _match_runs(places, last)
-        return places
+        copied, last = self.swap_arrays(PLACES, 3)
+        launch.together([partial(np.copyto, copied[a:b], positions[a:b]) for a, b in self._point_ranges()])
+        self._runs = np.empty((0, 3), np.int32) if last is None else _match_runs(copied, last)
+        return copied
 
     def swap_arrays(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
         """Return an uninitialized array for this surface, float32 [V] or [V, width], and the last one's, or None.
@@ -76,7 +81,8 @@ class EffectValues:
     def put(self, name: str, values: np.ndarray, drop_last: bool = False) -> None:
         """Store the complete array of an attribute on this surface.
 
-        drop_last: drop the array of the last surface, which is not reused.
+        The array that `name` had, which is of the last surface, is kept beside it. drop_last: drop that one, which is
+        not reused.
         """
         self._arrays[name] = values, None if drop_last else self._arrays.get(name, (None, None))[0]
 
@@ -118,7 +124,8 @@ class EffectValues:
 
     def new_points(self) -> np.ndarray:
         """Return the indices of the points that the last surface lacks, int32 [n]; others keep their values."""
-        change = np.zeros(self._count + 1, np.int8)  # + 1 where a run begins, - 1 after its end
+        # Of the runs (first, first in the last surface, count): + 1 where one begins, - 1 after its end.
+        change = np.zeros(self._count + 1, np.int8)
         change[self._runs[:, 0]] += 1
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
         return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
@@ -147,19 +154,20 @@ def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
     return pair
 
 
-def _match_runs(places: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _match_runs(positions: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Return the runs of consecutive points that two surfaces share, in the same order there, int32 [n, 3].
 
-    Columns: first point in `places`, first point in `last`, count. places, last: float32 [V, 3].
+    Columns: first point in `positions`, first point in `last`, count. positions, last: float32 [V, 3].
     """
-    if not len(places) or not len(last):
+    if not len(positions) or not len(last):
         return np.empty((0, 3), np.int32)
-    runs = np.empty((len(places), 3), np.int32)
+    runs = np.empty((len(positions), 3), np.int32)
     found = np.zeros(2, np.int32)  # number of runs, and the first point that is not yet searched
-    points = [shared(places, wp.vec3f), len(places), shared(last, wp.vec3f), len(last)]
+    points = [shared(positions, wp.vec3f), len(positions), shared(last, wp.vec3f), len(last)]
     outputs = [shared(runs, wp.vec3i), flat(found, wp.int32)]
+    # Most points follow each other as on the last surface. If that search stops early, find the others by a hash table.
     launch.once(kernels.match_in_order, [*points, *outputs], step="kept")
-    if found[1] < len(places):
+    if found[1] < len(positions):
         bits = len(last).bit_length() + 1  # few points share a hash
         table = np.full(1 << bits, -1, np.int32)
         launch.once(kernels.match_anywhere, [*points, bits, flat(table, wp.int32), *outputs], step="kept")

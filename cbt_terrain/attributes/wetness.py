@@ -15,7 +15,7 @@ from .flow import routed_level
 MIN_TANGENT = 1e-3
 
 
-def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Compute the topographic wetness index at points: ln of drainage area a metre of contour over the slope's tangent.
 
     The contour of a point has the mean side of a cell that flow was routed over. The tangent is at least MIN_TANGENT.
@@ -25,16 +25,19 @@ def make(places: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -
     from ...kernels import wp
     from ...kernels.effects import flow as kernels
 
-    lattice, out = places.field.lattice, np.empty(len(places), np.float32)
-    width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(places.field)
+    lattice, out = points.field.lattice, np.empty(len(points), np.float32)
+    width = math.sqrt(lattice.step_x * lattice.step_y) * 2 ** routed_level(points.field)
     arrays = flat(read["flow"], wp.float32), shared(read["detail_normal"], wp.vec3f), flat(out, wp.float32)
     inputs = [width, MIN_TANGENT, *arrays]
-    launch.spread(kernels.wetness_at, len(places), inputs, step="flow", threads=places.threads, cost=2)
+    launch.spread(kernels.wetness_at, len(points), inputs, step="flow", threads=points.threads, cost=2)
     return {"wetness": out}
 
 
 def example(evaluate: Evaluate) -> None:
-    """Assert the index of the second sample below the ridge of a roof of 30 degrees, which drains 2.5 samples."""
+    """Assert the index of the second sample below the ridge of a roof of 30 degrees, which drains 2.5 samples.
+
+    evaluate: returns an attribute at the samples of a raster, without the two outermost on each side.
+    """
     x = np.arange(17, dtype=np.float32)
     slope = np.float32(10.0 * math.tan(math.radians(30)))
     wetness = evaluate("wetness", np.tile(-abs(x - 8.0) * slope, (9, 1)), step=10.0).reshape(5, 13)

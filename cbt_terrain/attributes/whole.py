@@ -83,7 +83,8 @@ def read_stored(field: HeightField, file: str, shape: tuple[int, int]) -> np.nda
 def write_result(field: HeightField, file: str, values: np.ndarray) -> np.ndarray:
     """Write a float32 result into the field's store, in place of an older one, and return it mapped from there.
 
-    Without a store, or if it cannot be written, a copy in memory is returned.
+    file: name without its suffix. values: the result. Without a store, or if it cannot be written, a copy in memory is
+    returned.
     """
     shapes = {file: (values.shape, np.float32)}
 

@@ -15,7 +15,7 @@ UNITS = ("px", "m")
 FINER, COARSER = 4.0, 16.0
 # Answers are rounded to this many digits, so that machines whose logarithms differ in the last bit ask for the same.
 DIGITS = 4
-SAME = 1e-9
+SAME = 1e-9  # fraction of a value that absorbs rounding
 # Measured values are between these, and their ratios are still finite.
 SMALLEST, LARGEST = 1e-30, 1e30
 
@@ -88,7 +88,8 @@ class CostCurve:
         affordable = [i for i, cost in enumerate(self.ms) if cost <= ms]  # measured points within the budget
         segment = min(affordable[-1], len(self.ms) - 2) if affordable else 0  # starts at the point of this index
         slope = self._slope(self.ms, segment)
-        if slope == 0 or ms == math.inf:  # a level end goes on: finer is free, or nothing coarser is cheaper
+        # A chosen segment is level only at an end of the curve: beyond that end all errors cost the same.
+        if slope == 0 or ms == math.inf:
             return finest if affordable else coarsest
         log_error = math.log(ms / self.ms[segment]) / slope + math.log(self.error[segment])
         if log_error <= math.log(finest):
@@ -118,7 +119,8 @@ class CostCurve:
         """
         # The first segment that reaches down to the error, or the last one.
         segment = next((i for i, e in enumerate(self.error[1:-1]) if e <= error), len(self.error) - 2)
-        # From the segment's coarser end, unless the error is at its finer end or beyond that.
+        # From the segment's coarser end, unless the error is at its finer end or beyond that: then the costs of
+        # measured points are exact.
         start = segment + 1 if error <= self.error[segment + 1] else segment
         try:
             return costs[start] * (error / self.error[start]) ** self._slope(costs, segment)
@@ -166,7 +168,7 @@ def _geometric_mean(values: list[float]) -> float:
 
 
 def _round_up(value: float) -> float:
-    """Round a positive value up to DIGITS digits. One that is a rounding error above such a number becomes that."""
+    """Round a positive value up to DIGITS digits; down if it exceeds such a number only by a rounding error (SAME)."""
     digits = DIGITS - 1 - math.floor(math.log10(value))
     scaled = math.ceil(value * 10.0**digits * (1 - SAME))
     return float(f"{scaled}e{-digits}")

@@ -43,7 +43,8 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
 
     [] for a panorama, and without errors or views. The part, SIDE pixels a side or those of a smaller frame, is the one
     in which the first and the last error differ most. Each crop shows the edges of triangles in its lower left half.
-    terrain: updated for each error. base: criterion whose error is replaced; None for the default.
+    terrain: updated for each error. frame: views, and the placement and vertical scale of the terrain. base: criterion
+    whose error is replaced; None for the default.
     """
     if not errors_px or not frame.views or frame.views[0].kind == PANORAMIC:
         return []
@@ -65,6 +66,7 @@ def crops(terrain: Terrain, frame: TimedFrame, errors_px: Sequence[float], base:
     for error, picture in zip(errors_px, drawn, strict=True):
         left, bottom, wide, high = (SAMPLES * pixels for pixels in box)
         samples = picture.shade(left, bottom, wide, high, scale=SAMPLES, lines=True)
+        # A pixel is the mean of SAMPLES x SAMPLES of the larger picture, against aliasing.
         colours = samples.reshape(high // SAMPLES, SAMPLES, -1, SAMPLES, 3).mean(axis=(1, 3))
         encoded = np.clip(colours, 0, 1) ** (1 / 2.2)  # for a display
         results.append(Crop(error, picture.triangles, np.round(255 * encoded[::-1]).astype(np.uint8)))
@@ -99,7 +101,7 @@ class _ProjectedSurface:
         clip = product(points, view.projection.T)
         perspective = view.kind == PERSPECTIVE
         ahead = clip[:, 3] > 0
-        w = np.where(ahead, clip[:, 3], 1.0)
+        w = np.where(ahead, clip[:, 3], 1.0)  # depth of a perspective; 1 for an orthographic view
         self._pixels = (clip[:, :2] / w[:, None] + 1) / 2 * np.array(view.resolution)
         self._weight = 1 / w  # of values interpolated over a triangle
         self._depth_keys = 1 / w if perspective else points[:, 2]  # larger for nearer points
@@ -114,7 +116,7 @@ class _ProjectedSurface:
         in the lower left half of the part; the other half shows the shading alone. The result is float64 [height,
         width, 3], linear, row 0 below.
         """
-        vertices = np.c_[self._pixels * scale - (x, y), self._depth_keys]
+        vertices = np.c_[self._pixels * scale - (x, y), self._depth_keys]  # pixels of the part; a number, larger nearer
         ends = vertices[self._corners]
         low, high = ends.min(axis=1), ends.max(axis=1)
         is_in_part = (high[:, :2] > 0).all(axis=1) & (low[:, 0] < width) & (low[:, 1] < height)
@@ -124,9 +126,11 @@ class _ProjectedSurface:
         depth_keys = np.full(height * width, -np.inf)
         arrays = [shared(corners.reshape(-1), wp.int32), shared(vertices, wp.vec3d), width, height]
         arrays += [shared(depth_keys, wp.float64), shared(shown_triangle, wp.int32)]
+        # The triangle with the largest depth key is shown. A thread draws a band of BAND rows.
         bands, threads = -(-height // int(kernels.BAND)), launch.default_threads()
         launch.spread(kernels.draw_triangles, bands, arrays, step="draw", threads=threads, cost=1e4)
         colours = np.broadcast_to(SKY, (height, width, 3)).copy()
+        # Shade the pixels with ground: interpolate normals between a triangle's corners, then light them.
         rows, columns = np.divmod(np.flatnonzero(shown_triangle >= 0), width)
         hit_corners = corners[shown_triangle[shown_triangle >= 0]]
         weights, edge_px = _barycentric(vertices[hit_corners], columns + 0.5, rows + 0.5)
@@ -137,6 +141,7 @@ class _ProjectedSurface:
         ground = light * GROUND
         if lines:
             is_lower_left = columns / width + rows / height < 1
+            # Lines fade to 0 at 1.5 LINE_PX from an edge, over about one pixel, against aliasing.
             opacity = OPACITY * np.clip(1.5 * LINE_PX - edge_px, 0, 1) * is_lower_left
             ground += opacity[:, None] * (INK - ground)
         colours[rows, columns] = ground

@@ -18,7 +18,8 @@ def interpolation(field: HeightField) -> Errors:
     """
     distances, (height, width) = [], field.samples.shape
     for first_row in range(0, height, ROWS):
-        # The rows of the block, one before it and two after it.
+        # The rows of the block, one before it and two after it. Beyond the border, twice the nearest sample less the
+        # one mirrored at it goes on straight; inside, both are the sample itself.
         nearest, mirrored = _with_mirrored(first_row - 1, min(first_row + ROWS + 2, height + 1), height)
         h = 2 * field.heights(nearest).astype(np.float64) - field.heights(mirrored)
         # The same with a column more on both sides, columns first.
@@ -26,7 +27,8 @@ def interpolation(field: HeightField) -> Errors:
         columns = (2 * h[:, nearest] - h[:, mirrored]).T
         linear, cubic = _linear(columns).T, _cubic(columns).T  # in the middle between two columns of each row
         count = min(ROWS, height - first_row)
-        # The middles of sides along rows, those of sides along columns, and the centres of cells.
+        # The middles of sides along rows, those of sides along columns, and the centres of cells. [1:] leaves out the
+        # row before the block; `_linear` and `_cubic` leave it out themselves.
         distances += [linear[1:][:count] - cubic[1:][:count], _linear(h) - _cubic(h), _linear(linear) - _cubic(cubic)]
     return errors_of(np.concatenate([d.astype(np.float32).reshape(-1) for d in distances]))
 

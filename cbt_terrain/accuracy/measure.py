@@ -41,8 +41,10 @@ class Measurement:
     rounding of plane coordinates included; a fitted corner is not on the reference, there half a unit in the last place
     of its height stands for the rounding of z. `facet_deg`, `shading_deg`: the triangles' normals and the interpolated
     vertex normals against the reference's (central differences, which are also the normals of a bicubic surface) at
-    every sample. `screen_px`, `hidden_px`, `silhouette_px`: see screen.py and outline.py; None without a view, the last
-    also where no outline is in the frame.
+    every sample. `screen_px`, `hidden_px`: distances on screen between points of the reference and the mesh's points
+    above or below them, of visible and of hidden points (screen.py). `silhouette_px`: distances of the reference's
+    outline from the mesh's (outline.py). All three are None without a view, the last also where no outline is in the
+    frame.
     """
 
     vertical_m: Errors
@@ -90,9 +92,13 @@ def measure(
         sight = sight or new_sight
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh = MeasuredMesh(ground, surface)
-    difference, worst = mesh.differences()  # at samples; largest of each triangle
+    # Mesh minus reference in metres: at every sample, and the largest size over the samples that each triangle covers.
+    difference, worst = mesh.differences()
     on_progress(0.1)
-    corner_shifts = mesh.raise_to_maxima(worst)  # by float32: metres of height, the largest of each triangle
+    # Raise `worst` to the maximum between the samples. `corner_shifts`: by how many metres of height rounding to
+    # float32 moved the corners of each triangle.
+    corner_shifts = mesh.raise_to_maxima(worst)
+    # The same at random points. `owner`: the triangle at each point, -1 for a point in a hole of the mesh.
     between, owner = mesh.differences_at(ground.random_points(random_points, seed))
     covered = slice(None) if mesh.covered is None else mesh.covered.reshape(-1)
     vertical = errors_of(np.concatenate([difference.reshape(-1)[covered], between[owner >= 0]]))
@@ -107,6 +113,7 @@ def measure(
         # The reference's differences from itself are 0; `np.zeros` takes no memory until it is written.
         seen_differences, _ = mesh.differences_at(sight.visible_points())
         zeros, seen_zeros = (np.zeros(d.shape, d.dtype) for d in (difference, seen_differences))
+        # Errors in pixels of the visible points and of the hidden samples, as differences on screen of two surfaces.
         screen, hidden = sight.errors(zeros, difference, (seen_zeros, seen_differences))
         on_progress(0.8)
         outline = silhouette(sight, mesh, surface.positions, _part_of_progress(on_progress, 0.8, 1.0))
@@ -133,7 +140,9 @@ def look(
 ) -> Sight:
     """Return a view's sight of the reference surface, for `measure` to use with every mesh that is seen from there.
 
-    Rays are cast when they are first needed, and cached: 16 bytes a pixel and 1 byte a sample.
+    Rays are cast when they are first needed, and cached: 16 bytes a pixel and 1 byte a sample. field: the terrain.
+    placement, vertical_scale and vertical_offset are those of the updates that make the meshes. threads: None for the
+    default; the result does not depend on it.
     """
     return Sight(MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads)), view, placement)
 
@@ -153,7 +162,8 @@ def triangle_errors(
     The error is evaluated at its samples and, along its edges, where it is vertically furthest from the reference in
     each cell (8 points there for a bicubic reference), if these are in the frame, hidden or not; and at the point seen
     in each pixel. 0 for triangles with no part in any frame. Without views: metres, the maximum over the triangle; then
-    TerrainError is raised where the mesh does not cover the terrain.
+    TerrainError is raised where the mesh does not cover the terrain. surface: the mesh of `field`. placement,
+    vertical_scale and vertical_offset are those of the update that made it.
     """
     ground = MeshGround(field, vertical_scale, vertical_offset, checked_threads(threads))
     mesh, views = MeasuredMesh(ground, surface), listed_views(views)
@@ -164,6 +174,8 @@ def triangle_errors(
     worst = np.zeros(mesh.triangles)
     for view in views:
         sight = Sight(ground, view, placement)
+        # Raise `worst` to the errors at the samples and edges of each triangle, then at the point seen in each pixel,
+        # where the surfaces to compare are the reference (differences 0) and the mesh.
         mesh.walk(screen_kernels.triangle_px, [sight.eye, shared(worst, wp.float64)])
         differences, owner = mesh.differences_at(sight.visible_points())
         on_mesh = owner >= 0

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mesh against the reference surface in metres: at every sample, along every edge, at any points."""
+"""A mesh against the reference surface in metres: at every sample, along every edge, at any points.
+
+Vertices have integer coordinates, in units of 2^-bits of a sample's spacing (`MeshGround.bits`), and so have points, in
+units of 2^-(bits + POINT_BITS). The origin is the domain's south-west corner; `point_ends` is its north-east corner.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -96,7 +100,7 @@ class MeshGround:
         self.field, self.threads = field, threads
         self.scale, self.offset = float(vertical_scale), float(vertical_offset)
         self.key = (field.key, self.scale, self.offset)
-        # The lattice of the finest mesh: as many bits a side as `depth_limit` in field/depths.py allows.
+        # Coordinates of the finest mesh that a terrain may have, which needs PLANE_BITS bits for the whole raster.
         self.bits = PLANE_BITS - lattice.side_bits - lattice.levels
         packed = self.packed = kernels.Reference()
         packed.bits = self.bits
@@ -157,7 +161,8 @@ class MeasuredMesh:
             positions = surface.positions[surface.corner_verts[corner::3], :2]
             low, high = np.minimum(low, positions), np.maximum(high, positions)
         lattice = self.ground.field.lattice
-        extent = (high - low) / np.array([lattice.step_x, lattice.step_y], np.float32)
+        extent = (high - low) / np.array([lattice.step_x, lattice.step_y], np.float32)  # in spacings of samples
+        # At most extent + 1 samples are in a side of the box; the rest stands for the triangle's own cost.
         work = np.cumsum((extent[:, 0] + 2) * (extent[:, 1] + 2), dtype=np.float64)
         inner = np.searchsorted(work, work[-1] * np.arange(1, threads) / threads)
         return sorted({0, *inner.tolist(), self.triangles})
@@ -215,8 +220,7 @@ class MeasuredMesh:
     def differences_at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return mesh minus reference at points, float64 [n] metres, and the triangle that covers each.
 
-        The former is 0 and the latter, int32 [n], -1 where none does. points: int64 [n, 2], in units of
-        2^-(ground.bits + POINT_BITS) samples from the south-west corner.
+        The former is 0 and the latter, int32 [n], -1 where none does. points: int64 [n, 2], integer coordinates.
         """
         g, count = self.ground, len(points)
         difference, owner = np.zeros(count), np.full(count, -1, np.int32)

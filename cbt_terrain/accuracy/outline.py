@@ -33,7 +33,10 @@ class _Rays:
     """A mesh ready for rays; holds the memory that the hierarchy refers to."""
 
     def __init__(self, sight: Sight, mesh: MeasuredMesh, positions: np.ndarray) -> None:
-        """Build a BVH of the mesh's triangles, padded against rounding, for rays from the camera."""
+        """Build a BVH of the mesh's triangles for rays from the camera.
+
+        Boxes are padded by more than float32 rays stray. positions: float32 [V, 3], the mesh's vertices.
+        """
         low, high = (reduce(positions, axis=0).astype(np.float64) for reduce in (np.min, np.max))
         pad = PAD * length(high - low) + 1e-6 * float(np.abs(positions).max())
         corners = positions[mesh.packed.corners.numpy().reshape(-1, 3)]
@@ -45,7 +48,10 @@ class _Rays:
         self.threads = mesh.ground.threads
 
     def meet(self, places: np.ndarray) -> np.ndarray:
-        """Return whether the rays through points of the frame (float64 [n, 2]) meet the mesh, bool [n]."""
+        """Return whether the rays through points of the frame meet the mesh, bool [n].
+
+        places: these points, float64 [n, 2] pixels from the frame's middle.
+        """
         cover = np.zeros(len(places), bool)
         inputs = [*self.inputs, shared(places, wp.vec2d), shared(cover, wp.bool)]
         launch.spread(kernels.mesh_cover, len(cover), inputs, step="measure", threads=self.threads, cost=100)
@@ -55,13 +61,16 @@ class _Rays:
 def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progress: Progress) -> Errors | None:
     """Return errors of the reference's outline in the frame, pixels; None where it has none.
 
-    positions: float32 [V, 3], the mesh's.
+    sight: the view's sight of the reference. positions: float32 [V, 3], the mesh's. on_progress: gets the fraction
+    done.
     """
     threads = mesh.ground.threads
+    # Where the reference's coverage flips, from the points that the sight already has; bisection casts more rays.
     flips = _flips(sight.covered(), sight, margin=0)
     if not sum(len(places) for places in flips):
         return None
     crossings = _crossings(flips, lambda places: sight.points_at(places)[:, 0] >= 0)  # x is -1 in the sky
+    # The same of the mesh, in an area that is larger by MARGIN pixels on each side.
     rays = _Rays(sight, mesh, positions)
     columns, rows = sight.columns + 2 * MARGIN, sight.rows + 2 * MARGIN
     cover = np.zeros(rows * columns, bool)
@@ -70,6 +79,8 @@ def silhouette(sight: Sight, mesh: MeasuredMesh, positions: np.ndarray, on_progr
         on_progress((row * columns + len(places)) / len(cover))
     cover = cover.reshape(rows, columns)
     mesh_crossings = _crossings(_flips(cover, sight, MARGIN), rays.meet)
+    # For each crossing of the reference the distance to the nearest line. `segment`: the two crossings of the mesh that
+    # each line joins; `first`: the first line in each square between four pixels.
     first, segment = _lines(cover)
     points = np.concatenate(crossings)
     distance = np.zeros(len(points))
@@ -100,6 +111,7 @@ def _crossings(flips: list[np.ndarray], covers: Callable[[np.ndarray], np.ndarra
     """
     crossings = []
     for places, step in zip(flips, np.eye(2), strict=True):
+        # `along`: how far from the first pixel, in pixels, coverage is surely that of the first pixel.
         is_first_covered, along, half = covers(places), np.zeros((len(places), 1)), 0.5
         for _ in range(HALVINGS):
             along[covers(places + (along + half) * step) == is_first_covered] += half  # it flips in the second half
@@ -112,7 +124,8 @@ def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Join the places where coverage flips by a line through each square between the middles of four pixels.
 
     Returns int32 [rows * columns + 1], the first line of each square (numbered by its south-west pixel), and int32 [n,
-    2], lines from flip to flip in the order of `_flips`. Of the two ways to join four flips one is taken always.
+    2], lines from flip to flip, by their numbers in the order of `_flips`. A square with four flips has two lines,
+    which always join the southern flip with the western one.
     """
     row_flips, column_flips = cover[:, 1:] != cover[:, :-1], cover[1:] != cover[:-1]
     # Number of each flip in the order of `_flips`: those in rows first.
@@ -122,8 +135,9 @@ def _lines(cover: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ]
     sides = row_flips[:-1], column_flips[:, :-1], row_flips[1:], column_flips[:, 1:]  # south, west, north, east
     side_numbers = flip_numbers[0][:-1], flip_numbers[1][:, :-1], flip_numbers[0][1:], flip_numbers[1][:, 1:]
-    mixed = np.argwhere(sides[0] | sides[1] | sides[2] | sides[3])
+    mixed = np.argwhere(sides[0] | sides[1] | sides[2] | sides[3])  # row and column of squares with a flip
     squares = mixed[:, 0], mixed[:, 1]
+    # Of each such square, whether coverage flips on its four sides, and the numbers of these flips.
     crossed = np.stack([side[squares] for side in sides], axis=1)
     crossing = np.stack([numbers[squares] for numbers in side_numbers], axis=1)
     # crossed sides first, in their order

@@ -15,7 +15,7 @@ from .mesh import Errors
 from .sweep_settings import Setting
 from .timed_runs import ms_to_finished_mesh
 
-# Errors that differ by less than this part are the same for the Pareto front.
+# Errors that differ by less than this fraction are the same for the Pareto front.
 DIFFERENT = 0.02
 # Runs of the same that differ by more than this factor do not show the cost of an error.
 MAX_SPREAD = 2.0
@@ -30,11 +30,12 @@ PARTS = tuple(Errors.__dataclass_fields__)
 class Row:
     """Results of a setting over all frames: the largest errors and bounds, the median of triangles and times.
 
-    `bound`: in the setting's unit. `limited`: those in Update, of any frame. `surface_mb`: the mesh's arrays;
-    `buffers_mb`: address space of all arrays of the engine, of which the system commits the pages that are used (None
-    for a fit). `terms`: the parts of the largest bound, in the setting's unit. `popping_px`, `shading_change` (255ths):
-    None where no frame follows. `ms`: by step, and "total" of the update (of the fit for a fitted row); "effects",
-    making attributes, and "ingest", writing a Blender mesh, come on top; of each frame those of its fastest run.
+    `bound`: in the setting's unit. `limited`: reasons why the bound of any frame exceeds its error, for example
+    "max_triangles". `surface_mb`: the mesh's arrays; `buffers_mb`: address space of all arrays of the engine, of which
+    the system commits the pages that are used (None for a fit). `terms`: the parts of the largest bound, in the
+    setting's unit. `popping_px`, `shading_change` (255ths): None where no frame follows. `ms`: by step, and "total" of
+    the update (of the fit for a fitted row); "effects", making attributes, and "ingest", writing a Blender mesh, come
+    on top; of each frame those of its fastest run.
     `cpu_ms`: processor time of all threads to the finished mesh; `spread_ms`: that of the fastest and of the slowest
     run, of the frame where they differ most.
     """
@@ -75,7 +76,8 @@ class Row:
     def figures(self) -> dict[str, float | int | str | None]:
         """Return every figure under a name with its unit, the same names for every row.
 
-        Figures that are not measured are None.
+        Figures that are not measured are None. TERMS and PARTS are the fields of a bound's terms and of measured errors
+        (maximum, percentiles and so on), STEPS the steps of an update, TRANSITIONS the changes between two frames.
         """
         figures = {"asked" if k == "error" else k: v for k, v in dataclasses.asdict(self.setting).items()}
         figures |= {"bound": self.bound, "measured": self.error}
@@ -110,7 +112,7 @@ def unsteady_row(rows: Sequence[Row]) -> Row | None:
 
 
 def is_unsteady(spread_ms: tuple[float, float] | None) -> bool:
-    """Return whether runs of the same update differ by more than MAX_SPREAD, by `spread_of` their times."""
+    """Return whether runs of the same update differ by more than MAX_SPREAD. spread_ms: the result of `spread_of`."""
     return _spread_factor(spread_ms) > MAX_SPREAD
 
 
@@ -173,7 +175,10 @@ def spread_of(times_ms: Sequence[float]) -> tuple[float, float] | None:
 
 
 def worst(parts: Sequence) -> Any:
-    """Return the largest of every figure of several Errors or Measurements, with their counts added; None for none."""
+    """Return the largest of every figure of several Errors or Measurements, with their counts added; None for none.
+
+    parts: of one class, or None; in the recursion also the values of one field of them.
+    """
     parts = [part for part in parts if part is not None]
     if not parts or isinstance(parts[0], float):
         return max(parts, default=None)

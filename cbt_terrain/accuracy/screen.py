@@ -39,7 +39,7 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
     """Return the lowest and highest heights of blocks of 4 x 4 cells, of 8 x 8 and so on up to one block.
 
     Bilinear heights are between the samples of a cell. Bicubic ones are beyond those around it by at most 9/32 of their
-    range, the sum of the samples' negative weights.
+    range, the sum of the samples' negative weights. ground: the reference surface.
     """
     # `around`: 1 where bicubic heights also depend on the samples around a cell, 0 for bilinear ones.
     around, heights = int(ground.packed.bicubic), ground.field.heights()
@@ -48,12 +48,14 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
         margin = ground.packed.max_detail + around * 0.28125 * (high.astype(np.float64) - low)  # 9/32
         low = np.nextafter((low - margin).astype(np.float32), np.float32(-np.inf))
         high = np.nextafter((high + margin).astype(np.float32), np.float32(np.inf))
-    # `base`, `width`: first block and number of columns of each level from 1 on, 0 for level 0; alike in both pyramids.
+    # `base`, `width`: first block and number of columns of each level, the same in both pyramids. Level 1 is the
+    # blocks of 4 x 4 cells; level 0, single cells, has no blocks, and its entries are 0.
     lows, base, width = concatenate_levels(halvings(low, np.minimum), below=1)
     highs, _, _ = concatenate_levels(halvings(high, np.maximum), below=1)
     z_range = sorted(float(h[-1]) * ground.scale + ground.offset for h in (lows, highs))
     b = ray_kernels.HeightBlocks()
     b.levels, b.low_z, b.high_z = len(base) - 1, *z_range
+    # A ray is blocked only by ground higher than it by more than this, metres.
     b.tolerance = max(1e-9 * (z_range[1] - z_range[0]), 1e-12 * max(abs(z) for z in z_range))
     b.base, b.width = shared(base, wp.int64), shared(width, wp.int32)
     b.low, b.high = shared(lows, wp.float32), shared(highs, wp.float32)
@@ -63,7 +65,8 @@ def pack_blocks(ground: MeshGround) -> ray_kernels.HeightBlocks:
 def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_kernels.Eye:
     """Return the view for the kernels of the measurement: from cells and metres of height to the camera and back.
 
-    placement: float64 [4, 4], terrain to world. Raises TerrainError if the camera or the terrain cannot be inverted.
+    placement: float64 [4, 4], terrain to world. ground: the terrain, which gives the size of cells and the range of
+    heights. Raises TerrainError if the camera or the terrain cannot be inverted.
     """
     g = ground.packed
     from_cells = np.diag([g.step_x, g.step_y, 1.0, 1.0])
@@ -88,19 +91,22 @@ def pack_eye(view: View, placement: np.ndarray, ground: MeshGround) -> screen_ke
     e.right, e.up, e.back = to_view[:3]
     e.half_width, e.half_height = view.resolution[0] / 2, view.resolution[1] / 2
     e.start, e.end = start, view.clip[1] if culls else np.inf
-    # The same depth as in view/local_view.py.
+    # Nearer than half the clip start, or than 1e-9 of the terrain's size (the box diagonal in camera space), the
+    # criterion bounds no error, so none is measured there; 1e-150 keeps the depth above 0.
     e.near = max(start / 2, 1e-9 * length(lengths(to_view[:3, :3]) * size), 1e-150)
+    # The eye's position, and the direction from the ground to an orthographic eye, in cells and metres of height.
     e.eye, e.toward = from_view[:3, 3], from_view[:3, 2]
-    # The ray through (x, y), -1 .. 1 in the frame: its origin and direction are these matrices times (1, x, y).
+    # The ray through (x, y), -1 .. 1 in the frame: its origin and direction are 3 x 3 matrices times (1, x, y). Only a
+    # panorama has `axes`, the camera's axes as columns: its directions follow from angles.
     e.direction, e.axes = (np.zeros((3, 3)) for _ in range(2))
-    origin = np.c_[from_view[:3, 3], np.zeros((3, 2))]
+    origin = np.c_[from_view[:3, 3], np.zeros((3, 2))]  # the eye for all x and y
     e.origin = origin
     if view.kind == PANORAMIC:
         e.pixels_per_radian, e.axes = 1.0 / view.radians_per_pixel, from_view[:3, :3]
         return e
     assert view.projection is not None  # only a panorama has none
     p = view.projection
-    e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]
+    e.to_x, e.to_y, e.to_w = p[0], p[1], p[3]  # rows of the projection: x and y of the frame are x / w and y / w
     # A lens shift moves the middle of the frame by a constant (column 3) if orthographic, else by a multiple of the
     # depth, which is -z (column 2).
     column = 3 if view.kind == ORTHOGRAPHIC else 2
@@ -146,7 +152,8 @@ class Sight:
     def points_at(self, places: np.ndarray) -> np.ndarray:
         """Return the point of the surface seen at each point of the frame: int64 [n, 2], -1 in the sky.
 
-        Its unit is that of `MeshGround.point_ends`. places: float64 [n, 2], pixels from the frame's middle.
+        Points are integers in units of 2^-(ground.bits + POINT_BITS) of a sample's spacing, from the south-west corner.
+        places: float64 [n, 2], pixels from the frame's middle.
         """
         x, y = np.zeros(len(places), np.int64), np.zeros(len(places), np.int64)
         inputs = [self.ground.packed, self.blocks, self.eye, shared(places, wp.vec2d)]
@@ -156,7 +163,7 @@ class Sight:
     def pixel_points(self, on_progress: Progress = ignore_progress) -> np.ndarray:
         """Return the point of the surface seen in the middle of each pixel, int64 [rows * columns, 2], row 0 below.
 
-        Its unit is that of `MeshGround.point_ends`; x is -1 in the sky. Computed on first use.
+        Units are 2^-(ground.bits + POINT_BITS) of a sample's spacing; x is -1 in the sky. Computed on first use.
         """
         if self._pixels is None:
             points = np.zeros((self.rows * self.columns, 2), np.int64)
@@ -167,7 +174,7 @@ class Sight:
         return self._pixels
 
     def visible_points(self) -> np.ndarray:
-        """Return the surface's point behind each pixel that sees the surface, int64 [n, 2] in units of `point_ends`."""
+        """Return the surface's point behind each pixel that sees the surface, int64 [n, 2] as of `points_at`."""
         points = self.pixel_points()
         return points[points[:, 0] >= 0]
 
@@ -188,7 +195,7 @@ class Sight:
         return self._state
 
     def errors(self, before: np.ndarray, after: np.ndarray, at_visible: Sequence[np.ndarray]) -> tuple[Errors, Errors]:
-        """Return the errors in pixels between two heights: of visible points and of hidden ones.
+        """Return how far points move on screen, in pixels, between two heights: visible points, and hidden ones.
 
         The maximum of the visible ones is over samples and the points seen in pixels. The other figures are over the
         latter, if any, so by area on the screen: samples are dense far away. Hidden points are samples, so by area on
@@ -202,7 +209,8 @@ class Sight:
         for row, rows in _row_blocks(height, width):
             start, end = row * width, (row + rows) * width
             indices = start + np.flatnonzero(states[start:end] != int(screen_kernels.OUTSIDE))
-            points = np.stack([indices % width, indices // width], axis=1) << bits  # in units of `point_ends`
+            # Columns and rows of samples, as integers in units of 2^-bits of a sample's spacing.
+            points = np.stack([indices % width, indices // width], axis=1) << bits
             pixels = self._pixels_between(points, *(a.reshape(-1)[indices].astype(np.float64) for a in (before, after)))
             visible.append(pixels[states[indices] == int(screen_kernels.VISIBLE)])
             hidden.append(pixels[states[indices] == int(screen_kernels.HIDDEN)])
@@ -221,8 +229,8 @@ class Sight:
     def _pixels_between(self, points: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Return by how many pixels points move on screen if their heights change, float32 [n].
 
-        points: int64 [n, 2], in units of `MeshGround.point_ends`, anywhere in the frame. before, after:
-        heights, float64 [n] m.
+        points: int64 [n, 2], in units of 2^-(ground.bits + POINT_BITS) of a sample's spacing, anywhere in the frame.
+        before, after: float64 [n], metres above the reference.
         """
         pixels = np.zeros(len(points), np.float32)
         inputs = [self.ground.packed, self.eye]

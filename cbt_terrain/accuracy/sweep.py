@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The cost of accuracy: one terrain refined with one setting after the other, with bounds, errors and times."""
+"""The cost of accuracy: one terrain refined with one setting after the other, with bounds, errors and times.
+
+Each setting (error, unit, limits) is measured on every frame of a path, that is a placement of the terrain and its
+cameras, and gives one row. A sight is what a camera sees of the exact surface; it is the same for all meshes.
+"""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -47,9 +51,11 @@ def sweep(
 
     Settings in metres depend on no view and take the first frame, of which there is at least one.
 
-    `base`: criterion with the guard band and culling. `write` puts a surface where it is used, a Blender mesh, and
-    returns the milliseconds of that step, "ingest". `effects`: plan of the attributes that are made for every mesh.
-    `on_progress` gets 0 .. 1. Any of them may raise, which ends the sweep.
+    A setting that is `fitted` asks for a mesh whose heights are fitted to the surface, which is timed without `write`
+    and `effects`. `base`: criterion from which settings take what they do not set themselves, for example culling.
+    `write` copies a surface to its user, for example into a Blender mesh, and returns the milliseconds of that step,
+    "ingest". `effects`: plan of the attributes that are made for every mesh. `on_row` gets each row as soon as it is
+    complete, `on_progress` 0 .. 1. These functions may raise, which ends the sweep.
     """
     rows = []
     sights: dict[tuple, Sight] = {}
@@ -105,10 +111,10 @@ def _measure_setting(
 ) -> Row:
     """Return the row of one setting: refine, measure and time every frame of the path.
 
-    A setting in metres ignores the camera, so one frame without views is enough. base: criterion with the guard band
-    and culling. find_sight: finds the visible ground in a view. write: puts a surface where it is used and returns the
-    milliseconds, None to leave that out. effects: plan of the attributes of each mesh. on_part: gets the finished
-    fraction of the row.
+    A setting in metres ignores the camera, so one frame without views is enough. base: criterion for all that the
+    setting leaves open. find_sight: finds the visible ground in a view. write: copies a surface to its user and returns
+    the milliseconds, None to leave that out. effects: plan of the attributes of each mesh. on_part: gets the finished
+    fraction of the row. A frame's `after` is the next frame of the path, for popping between the two.
     """
     criterion, terrain = setting.criterion(base), Terrain(heights, threads)
     in_pixels = setting.unit == "px"
@@ -118,12 +124,13 @@ def _measure_setting(
     bounds, limit_causes, sizes, runs, spreads = [], set(), [], [], []  # one item for each frame
     measured: list[Measurement] = []  # one for each view of each frame
     changes: list[list[Errors]] = []  # for each view of frames with a next one: popping, change of shading
+    # Refine the mesh of each frame, measure it in each view, then time the same update again and again.
     for frame in frames:
         update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
         surface, bound = update.surface, update.bound_px if in_pixels else update.bound_m
         assert bound is not None  # the criterion has an error in this unit
         bounds.append((bound, update.terms_px if in_pixels else update.terms_m))
-        limit_causes.add(update.limited)
+        limit_causes.add(update.limited)  # why the bound exceeds the requested error, "" if it does not
         sizes.append((update.triangles, len(surface.positions), _surface_bytes(surface)))
         views: Sequence[View | None] = frame.views or [None]
         for view in views:
@@ -148,6 +155,8 @@ def _measure_setting(
         spreads.append((min(times), max(times)))
         if frame.after is not None and before is not None:
             changes += _transitions(terrain, criterion, before, frame.after, find_sight)
+    # Combine the frames: worst errors and loosest bound, median sizes and times, and the largest ratio of the slowest
+    # run to the fastest.
     popped, shaded = (worst([change[i] for change in changes]) for i in range(2))
     triangles, vertices, surface_bytes = (median_count(column) for column in zip(*sizes, strict=True))
     ms = median_by_step(runs)
@@ -179,7 +188,11 @@ def _attributes_of(
     surface: Surface,
     views: Sequence[View],
 ) -> dict[str, Attribute]:
-    """Return the attributes that the effects give a surface of a frame, by name."""
+    """Return the attributes that the effects give a surface of a frame, by name.
+
+    heights: field that attributes read. terrain: owns the history with the values of the last surface. views: cameras,
+    which decide the scale of attributes.
+    """
     request = EffectRequest(effects, surface, views, *frame.placement_and_heights)
     return evaluate(heights, request, terrain.history, terrain.threads).attributes
 
@@ -192,9 +205,10 @@ def _report_part(report: Progress, done: int, count: int, fraction: float) -> No
 def _measure_fit(
     heights: HeightField, setting: Setting, frame: TimedFrame, threads: int | None, on_part: Progress
 ) -> Row:
-    """Return the row of a fit. frame: gives the placement, vertical scale and offset.
+    """Return the row of a fit: a mesh whose heights are fitted to an error in metres, whatever the view.
 
-    It depends on no view; its time is that of a second run where the first is short enough to be disturbed.
+    A fit of at most LONG_FIT_MS runs twice, and the second time counts, since a short run is easily disturbed. frame:
+    gives the placement, vertical scale and offset. on_part: gets the finished fraction of the row.
     """
     scale, offset = frame.vertical_scale, frame.vertical_offset
     for run in range(2):  # two of three parts of the progress; the measurement is the third
@@ -237,8 +251,8 @@ def _transitions(
 ) -> list[list[Errors]]:
     """Return popping (pixels) and changes of shading (255ths) from one frame to the next: a list of both for each view.
 
-    before: surface of the first frame; the terrain is updated to `frame`, the next one. find_sight: makes the Sight
-    of a view, cached by the caller.
+    before: surface of the first frame; the terrain is updated to `frame`, the next one, under `criterion`. find_sight:
+    makes the Sight of a view, cached by the caller.
     """
     after = terrain.update(criterion, frame.views, *frame.placement_and_heights).surface
     errors_by_view = []

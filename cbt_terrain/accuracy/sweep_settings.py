@@ -28,9 +28,9 @@ MAX_TRIANGLES = 1 << 23
 class Setting:
     """One thing to measure.
 
-    `error`: the criterion's error in `unit`, "px" or "m" (of height). `max_depth`, `meshlet`: as in a Criterion.
-    `fitted`: heights of vertices are fitted (metres only). `interpolation`: the height field's. `morph`: in place of
-    the criterion's; None keeps that.
+    `error`: the criterion's error in `unit`, "px" or "m" (of height). `max_depth`: limit of bisections, None for none.
+    `meshlet`: each leaf becomes 4^meshlet triangles. `fitted`: heights of vertices are fitted (metres only).
+    `interpolation`: the height field's. `morph`: in place of the criterion's; None keeps that.
     """
 
     unit: str
@@ -53,7 +53,7 @@ class Setting:
         return self.max_depth is None and self.meshlet == 0 and not self.fitted and self.morph is None
 
     def criterion(self, base: Criterion) -> Criterion:
-        """Return `base` with this setting in place of its errors, lengths, areas and limits."""
+        """Return `base` with this setting in place of its errors, lengths, areas and limits; 0 is no criterion."""
         return dataclasses.replace(
             base,
             error_px=self.error if self.unit == "px" else 0.0,
@@ -71,7 +71,7 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
     """Return the settings of a whole sweep.
 
     They are pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and every other error with
-    the other interpolation. A fit has a bilinear surface without detail under it. If a frame follows, some errors are
+    the other interpolation. Only bilinear terrain without detail can be fitted. If a frame follows, some errors are
     repeated with the other geomorph: SMOOTH if `morph`, that of the swept criterion, is 1 (none), else 1.
     """
     same = partial(Setting, interpolation=heights.interpolation)

@@ -32,7 +32,8 @@ class TimeCorrection:
         Once there are MIN_UPDATES, of which the last MAX_UPDATES count, `factor` becomes the median of their times over
         the curve's if that differs from it by more than TOLERANCE; then these updates are forgotten.
         """
-        self._ratios.append(ms / curve.at(error)[1])
+        _, expected_ms = curve.at(error)
+        self._ratios.append(ms / expected_ms)
         median = statistics.median(self._ratios)
         if len(self._ratios) >= MIN_UPDATES and abs(median / self.factor - 1.0) > TOLERANCE:
             self.factor = median

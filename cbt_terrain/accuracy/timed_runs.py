@@ -34,9 +34,10 @@ MOVE, NUDGE = 1e-3, 1e-6
 
 @dataclass(frozen=True, eq=False)
 class TimedFrame:
-    """The arguments of one frame, as of `Terrain.update`.
+    """The arguments of `Terrain.update` for one frame.
 
-    `after`: the frame that follows it, to measure popping between the two.
+    `views`: cameras. `placement`: float64 [4, 4], terrain to world, None for the identity. Heights become `height *
+    vertical_scale + vertical_offset` metres. `after`: the frame that follows it, to measure popping between the two.
     """
 
     views: tuple[View, ...] = ()
@@ -63,11 +64,14 @@ def timed_runs(
     write: Callable[[Surface], float] | None = None,
     effects: Callable[[Surface, Sequence[View]], dict[str, Attribute]] | None = None,
 ) -> list[dict[str, float]]:
-    """Return milliseconds by step of `count` runs: an update, or the mean of several where they are short.
+    """Return the milliseconds of each step, by name, for `count` runs. A run is one update, or the mean of short ones.
 
-    "ingest" are those that `write` returns, "effects" those of making the attributes that it then writes too, and "cpu"
-    the processor time of all threads to the finished mesh. write(surface): puts a surface where it is used, None to
-    leave that out. effects(surface, views): returns its attributes, None for none.
+    terrain: updated by `criterion` for the views, placement and vertical scale of `frame`, again and again.
+
+    Names are those of the update's steps and "total" of it; "effects", the time of making attributes; "ingest", the
+    time that `write` returns; "cpu", the processor time of all threads to the finished mesh. effects(surface, views):
+    returns the attributes of a surface, None for none. write(surface): copies a surface, with these attributes, to its
+    user, None to leave that out.
 
     The camera is a little to the right of its position, then to the left, and so on; where that changes no leaf,
     heights move instead.
@@ -76,7 +80,8 @@ def timed_runs(
     diagonal = length(((lattice.width - 1) * lattice.step_x, (lattice.height - 1) * lattice.step_y))
     # World metres of a metre along the terrain's x axis.
     world_scale = 1.0 if frame.placement is None else length(np.asarray(frame.placement)[:3, 0])
-    step = MOVE * diagonal * world_scale
+    step = MOVE * diagonal * world_scale  # of the camera, world metres
+    # Of heights, metres; at least NUDGE of a metre, so that it is above 0 for a flat terrain at sea level.
     nudge = NUDGE * max((field.max_height - field.min_height) * abs(scale), abs(frame.vertical_offset), 1.0)
     updates: list[dict[str, float]] = []
     side, update, surface = 1, None, None
@@ -87,7 +92,7 @@ def timed_runs(
         start_cpu = cpu_ms()
         update = terrain.update(criterion, views, *frame.placement_and_heights)
         if not update.changed:
-            update, offset = None, frame.vertical_offset + side * nudge
+            update, offset = None, frame.vertical_offset + side * nudge  # the old mesh's memory is free for the new one
             start_cpu = cpu_ms()
             update = terrain.update(criterion, views, frame.placement, scale, offset)
         updates.append(dict(update.ms))
@@ -100,7 +105,7 @@ def timed_runs(
             updates[-1]["ingest"] = write(surface)
         updates[-1]["cpu"] = cpu_ms() - start_cpu
     per_run = _updates_a_run(updates)
-    warm = updates[1:]  # the first found memory that was cold
+    warm = updates[1:]
     return [_combine_steps(warm[first : first + per_run], statistics.fmean) for first in range(0, len(warm), per_run)]
 
 

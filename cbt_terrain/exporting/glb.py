@@ -42,7 +42,7 @@ def glb_of(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray, triangles
         kind = TYPES[1 if array.ndim == 1 else array.shape[1]]
         component = UNSIGNED_INT if is_index else FLOAT
         accessors.append({"bufferView": len(accessors), "componentType": component, "count": len(array), "type": kind})
-        binary += array.tobytes()  # whole words, so the next array is aligned
+        binary += array.tobytes()  # numbers of 4 bytes, so the next array is aligned
     accessors[0] |= {"min": points.min(0).tolist(), "max": points.max(0).tolist()}
     primitive = {"attributes": {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}, "indices": 3, "material": 0}
     content = {

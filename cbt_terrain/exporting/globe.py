@@ -53,6 +53,7 @@ def place_on_globe(placing: Placing, positions: np.ndarray, folder: Path) -> tup
         positions: float64 [n, 3], points of the terrain's space.
         folder: for a file that the child process reads.
     """
+    # The middle, and points ARM metres west and east of it that give the direction of x.
     about_middle = np.array([[0.0, 0.0, 0.0], [-ARM, 0.0, 0.0], [ARM, 0.0, 0.0]])
     points, up = _earth_centred(placing, np.concatenate([about_middle, positions]), folder)
     along = points[2] - points[1]
@@ -78,6 +79,7 @@ def _earth_centred(placing: Placing, positions: np.ndarray, folder: Path) -> tup
     eccentricity2 = flattening * (2.0 - flattening)  # of the ellipsoid, squared
     across = np.cos(latitude)
     up = np.stack([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)], axis=-1)
+    # The radius of curvature across the meridian, by which longitude, latitude and height become coordinates.
     radius, height = semi_major / np.sqrt(1.0 - eccentricity2 * up[:, 2] ** 2), positions[:, 2]
     points = (radius + height)[:, None] * up
     points[:, 2] = (radius * (1.0 - eccentricity2) + height) * up[:, 2]

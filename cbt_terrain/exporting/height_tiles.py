@@ -3,7 +3,8 @@
 
 Samples are points of the terrain's surface without displacement, also in finer tiles. Integer formats share one scale
 and one offset: height = offset + scale * number. The largest difference to the surface is counted while the tiles are
-written.
+written. `placing` is the terrain's position in its coordinate system. Layers are the rasters to write: heights first,
+then one for each mask.
 """
 
 import json
@@ -39,7 +40,7 @@ from .tile_layers import HOLES, NO_FILE_NAME, TileLayer, mask_layers
 VERSION = 1
 # Of the tiles that are written side by side. Systems allow 256 open files or more.
 MAX_OPEN, MAX_COLUMNS = 64, 65_536
-# Unreal: height in cm = (number - 32768) / 128 * scale Z.
+# Unreal: height in cm = (number - 32768) / 128 * scale Z. So a step of 1 m a number is a scale Z of 100 * 128.
 UNREAL_MIDDLE, UNREAL_STEP = 32_768, 12_800.0
 
 
@@ -91,7 +92,7 @@ class _Samples:
         self.level = max(float(min_level(field.raster)), math.log2(max(steps)))
 
     def block(self, rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray | None, list[np.ndarray]]:
-        """Return the values of a block: heights, metres, with holes filled; where ground is; values of layers.
+        """Return the heights of a block, metres, with holes filled; which samples are on ground; the values of layers.
 
         All arrays are [rows, columns]: float64, bool (None without holes), and float64 for each layer after the first.
         """
@@ -147,7 +148,8 @@ def export_height_tiles(
 ) -> dict:
     """Write the tiles of a store's field and NAME.json into the folder `out`; return the content of that file.
 
-    masks: attributes that become 8-bit PNG files with the same tiles. Raises TerrainError.
+    settings: format, size, number and names of the tiles. masks: attributes that become 8-bit PNG files with the same
+    tiles. Raises TerrainError.
     """
     suffix = f".{settings.form.lower()}"
     if suffix not in FORMATS:
@@ -162,16 +164,17 @@ def export_height_tiles(
     if field.valid is not None:
         layers.append(TileLayer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))
     names = _names(settings, axes, layers)
-    field.raster.check_samples()
+    field.raster.check_samples()  # all are finite
     samples = _Samples(field, axes, layers, settings.is_flipped)
     placing = placing_or_middle(field)
     tile_rows = range(axes[1].tiles)
+    # Integers need the smallest and largest value of a layer, which only a first pass over all samples finds.
     if any(layer.form.is_integer and not layer.has_range for layer in layers):
         _measure(samples, layers, lambda done: on_progress(0.4 * done))
     try:
         remove_file(out / f"{settings.name}.json")  # of an earlier export, whose tiles are about to be replaced
         for row in tile_rows:
-            for tiles in samples.groups():
+            for tiles in samples.groups():  # columns of tiles that are open side by side
                 _write_tiles(samples, out, names, tiles, row, placing)
             on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
         index = _tiles_json(samples, names, placing, settings)
@@ -185,7 +188,8 @@ def export_height_tiles(
 def _names(settings: HeightTiles, axes: tuple[TileAxis, TileAxis], layers: list[TileLayer]) -> dict[tuple, str]:
     """Return the names of all files by layer's index, x and y of the tile.
 
-    Raises TerrainError for a pattern that does not give them.
+    settings: has the pattern of names; {name} in it stands for the export's name and the layer's. axes: have the
+    numbers of tiles along x and y. Raises TerrainError for a pattern that gives no such names.
     """
     names = {}
     # A field of 1000 or more characters is longer than a file name, and may fill the memory.
@@ -224,8 +228,8 @@ def _measure(samples: _Samples, layers: list[TileLayer], on_progress: Callable[[
 def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: range, y: int, placing: Placing) -> None:
     """Write some tiles of row `y`, side by side, of all layers, in blocks of rows. Raises OSError.
 
-    names: file names by layer, column and row of the tile. group: columns of the tiles, whose files appear when all
-    are complete. placing: conversion to the coordinate system of the files.
+    out: folder. names: file names by layer, column and row of the tile. group: columns of the tiles, whose files appear
+    when all are complete. placing: conversion to the coordinate system of the files.
     """
     (across, down), columns = samples.axes, samples.columns_of(group)
     with ExitStack() as stack:
@@ -255,7 +259,7 @@ def _write_tiles(samples: _Samples, out: Path, names: dict[tuple, str], group: r
         finish = samples.layers[0].form.finish  # turns complete raw files into TIFF; None for other formats
         if finish is not None:
             written = [(partial, shape) for k, _, _, partial, shape in tiles if k == 0]
-            finish(*zip(*written, strict=True))
+            finish(*zip(*written, strict=True))  # paths, shapes
 
 
 def _transform(samples: _Samples, placing: Placing, column: int, row: int) -> tuple[tuple[float, ...], str]:
@@ -280,7 +284,11 @@ def _origin(samples: _Samples, placing: Placing) -> list[float]:
 
 
 def _tiles_json(samples: _Samples, names: dict[tuple, str], placing: Placing, settings: HeightTiles) -> dict:
-    """Return the content of the JSON file beside the tiles: sizes, coding of values and position on the map."""
+    """Return the content of the JSON file beside the tiles: sizes, coding of values and position on the map.
+
+    names: file names by layer, column and row of the tile. "step" and "origin" are in units of the coordinate system.
+    Samples beyond the terrain's border fill up the last tiles; "num_samples_on_terrain" leaves them out.
+    """
     axes, heights = samples.axes, samples.layers[0]
     index = {
         "version": VERSION,
@@ -318,8 +326,9 @@ def _tiles_json(samples: _Samples, names: dict[tuple, str], placing: Placing, se
 def _add_unreal(index: dict, samples: _Samples) -> None:
     """Add Unreal's numbers to the content of the JSON file: those of all tiles together, and the place of each tile.
 
-    Unreal Engine measures in centimetres, and its y axis points south. A landscape is located by its first sample.
-    Locations count from the anchor, the origin of the terrain's space.
+    Unreal Engine measures in centimetres, and its y axis points south. A number stands for the height (number -
+    UNREAL_MIDDLE) / 128 * scale_z above location_z. A landscape is located by its first sample. Locations count from
+    the anchor, the origin of the terrain's space.
     """
     scale, heights = [100.0 * axis.spacing for axis in samples.axes], samples.layers[0]
     first = 100.0 * float(samples.x[0]), -100.0 * float(samples.y[0])

@@ -38,11 +38,13 @@ def split(mesh: TileMesh, axis: int, at: float) -> TileMesh:
     if not crosses.any():
         return mesh
     crossing, signs = mesh.triangles[crosses], signs[crosses]
-    # Roll the corner that is alone on its side, or on the line, to the front: the other two decide the sum of signs.
+    # Roll the corner that is on the line, or else alone on its side, to the front: `a`, followed by `b` and `c` in the
+    # order of the triangle. The two on the other side decide the sum of signs, so it is the corner of opposite sign.
     alone = np.where((signs == 0).any(1), (signs == 0).argmax(1), (signs == -np.sign(signs.sum(1))[:, None]).argmax(1))
     order = (alone[:, None] + np.arange(3)) % 3
     a, b, c = np.take_along_axis(crossing, order, 1).T
     on_line = np.take_along_axis(signs, order, 1)[:, 0] == 0
+    # The edges that cross, by their vertices; two triangles with a common edge get the same new vertex.
     pairs = np.concatenate([np.stack([b, c], 1)[on_line], np.stack([a, b], 1)[~on_line], np.stack([a, c], 1)[~on_line]])
     pairs, numbers = np.unique(np.sort(pairs, 1), axis=0, return_inverse=True)
     # New vertices: p across from a corner on the line, q and r on both edges of a corner that is alone.
@@ -99,10 +101,12 @@ def with_skirt(mesh: TileMesh, edges: np.ndarray, down: np.ndarray) -> TileMesh:
     """
     if not len(edges):
         return mesh
+    # `used`: vertices of the border. `ends`: of each edge two indices of `used`.
     used, ends = np.unique(edges, return_inverse=True)
     below = mesh.vertices_alone(used)
     below = replace(below, positions=(below.positions.astype(np.float64) + down[used]).astype(np.float32))
     lower = len(mesh.positions) + ends.reshape(-1, 2)
+    # Ends of the edges, and the new vertices below them.
     (a, b), (c, d) = edges.T, lower.T
     wall = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
     return mesh.with_vertices(below, np.concatenate([mesh.triangles, wall]))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A grid of samples over a terrain, divided into tiles of one size."""
+"""A grid of samples over a terrain, divided into tiles of one size.
+
+Samples of the grid are `num` / `den` samples of the raster apart, along each axis.
+"""
 
 import math
 from dataclasses import dataclass
@@ -101,7 +104,8 @@ def _axis(grid: GridAxis, count: int, size: int, overlap: int) -> TileAxis:
     """Return the tiles along an axis with the samples of a grid.
 
     `count`: tiles that end at the border exactly, with another grid; 0 to keep the grid. `size`: samples of a
-    tile, 0 for a single tile. `grid.inside`: number of samples on the terrain.
+    tile, 0 for a single tile. `overlap`: samples that neighbours share, 0 or 1. `grid.inside`: number of samples on the
+    terrain.
     """
     if not size:
         return TileAxis(size=grid.inside, tiles=1, overlap=overlap, grid=grid)

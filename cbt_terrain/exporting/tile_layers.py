@@ -70,11 +70,12 @@ class TileLayer:
 
 
 def mask_layers(masks: Sequence[AttributeRequest]) -> list[TileLayer]:
-    """Return a layer for each number of each attribute, without a range where it has no known span.
+    """Return a raster layer for each number of each attribute, without a range where it has no known span.
 
-    A splat attribute holds the weights of `width` layers of the ground, the last one of fewer: they get layers with
-    their names. A name that a file system would confuse with another gets a number: the layer Scree beside the
-    by-product scree.
+    Names are those of attributes, with a number for attributes of several numbers. A splat attribute holds the weights
+    of up to `width` splat layers, and its raster layers have the names of these. A name that equals an earlier one but
+    for upper and lower case, which a file system may confuse, gets a number: the splat layer Scree after the attribute
+    scree is Scree_2.
     """
     layers, used = [], {HOLES}
     for request in masks:

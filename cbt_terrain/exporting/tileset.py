@@ -4,7 +4,8 @@
 Level 0 is one tile. Each further level halves the requested error and the sides of the tiles. A level is one mesh of
 the whole terrain, divided at the borders of its tiles: neighbours of a level share the vertices on their border.
 Between levels the heights on a border differ by at most the sum of both bounds. A skirt that is as deep as the sum with
-the root's bound hangs from each border inside the terrain.
+the root's bound hangs from each border inside the terrain. `placing` is the terrain's position in its coordinate
+system.
 """
 
 import json
@@ -91,10 +92,11 @@ def export_tileset(
     levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
     placing = placing_or_middle(field)
     try:
-        frame = _place_levels(levels, placing, path.parent)
+        frame = _place_levels(levels, placing, path.parent)  # position on the globe; None without a coordinate system
+        # From the finest level up: 3D Tiles require that a tile's error is no smaller than its children's.
         for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
-            level.bound = max(level.bound, finer.bound)  # geometric errors must not grow downwards
-        tiles: dict[tuple[int, int, int], tuple] = {}
+            level.bound = max(level.bound, finer.bound)
+        tiles: dict[tuple[int, int, int], tuple] = {}  # (level, x, y): box and number of triangles of a written tile
         remove_file(path)  # of an earlier export, whose tiles are about to be replaced
         total = sum(len(level.mesh.triangles) for level in levels)
         for number, level in enumerate(levels):
@@ -138,7 +140,8 @@ def _levels(field: HeightField, error_m: float, triangles: int, on_progress: Cal
 def _depth(cells: tuple[int, int], tiles: float) -> int:
     """Return the first level with at least `tiles` tiles, or whose tiles are about a cell long, at most MAX_LEVELS.
 
-    A level has four times the tiles of the one above, and twice as many once tiles are as narrow as a cell.
+    A level has four times the tiles of the one above, and twice as many once tiles are as narrow as a cell. cells: the
+    raster's columns and rows of cells.
     """
     depth = 0
     while depth < MAX_LEVELS and 2 << depth <= max(cells) and math.prod(min(1 << depth, n) for n in cells) < tiles:
@@ -149,8 +152,8 @@ def _depth(cells: tuple[int, int], tiles: float) -> int:
 def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -> _Level:
     """Divide the mesh of a level at the borders of its tiles, which are lines of samples.
 
-    bound: error of the mesh, metres; it grows by the rounding of the new vertices. side: number of tiles along a
-    side.
+    field: gives the lines of samples. bound: error of the mesh, metres; it grows by the rounding of the new vertices.
+    side: number of tiles along a side.
     """
     lattice = field.lattice
     west, south, _, _ = lattice.rectangle()
@@ -162,7 +165,7 @@ def _divide_level(field: HeightField, mesh: TileMesh, bound: float, side: int) -
         for line in positions:
             mesh = split(mesh, axis, float(line))
         lines.append(np.array(positions, np.float64))
-    if side > 1:  # new vertices are rounded to float32
+    if side > 1:  # new vertices are rounded to float32: their heights, and x and y on at most the steepest slope
         slope = length((field.steepest_x, field.steepest_y))
         top = np.abs(mesh.positions).max(0)
         bound += float(np.spacing(top[2])) + slope * float(np.spacing(top[:2].max()))
@@ -183,7 +186,8 @@ def _place_levels(levels: list[_Level], placing: Placing, folder: Path) -> Globe
     for level in levels:
         triangles, positions = level.mesh.triangles, level.mesh.positions.astype(np.float64)
         edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-        keys = np.unique(edge_keys(edges))  # of integers: of rows it would hold Python's lock for seconds
+        # Both ends of an edge in one integer: `unique` of rows would hold Python's lock for seconds.
+        keys = np.unique(edge_keys(edges))
         ends.append(np.stack([keys >> 32, keys & 0xFFFFFFFF]))
         points += [positions, 0.5 * (positions[ends[-1][0]] + positions[ends[-1][1]])]
     frame, in_frame, up = place_on_globe(placing, np.concatenate(points), folder)
@@ -193,7 +197,7 @@ def _place_levels(levels: list[_Level], placing: Placing, folder: Path) -> Globe
         level.positions, level.up = exact.astype(np.float32), upwards
         # A curved triangle is at most MIDDLES times further from its plane than at the middles of its edges.
         bent = middles - 0.5 * (exact[a] + exact[b])
-        rounding = np.abs(level.positions - exact).max()
+        rounding = np.abs(level.positions - exact).max()  # of one coordinate; of a position sqrt(3) times that
         level.bound += MIDDLES * math.sqrt((bent**2).sum(1).max()) + math.sqrt(3.0) * float(rounding)
     return frame
 
@@ -211,12 +215,14 @@ def _write_level(path: Path, number: int, level: _Level, root_bound: float, tile
     x, y = (np.searchsorted(level.lines[axis], centroids[:, axis]) for axis in (0, 1))
     owner = y * level.side + x
     order = np.argsort(owner, kind="stable")
+    # First triangle in `order` of each tile, and the number of all.
     starts = np.searchsorted(owner[order], np.arange(level.side**2 + 1))
     # The mesh's own border gets no skirt.
     outer = edge_keys(border_edges(level.mesh))
     for tile in np.flatnonzero(np.diff(starts)):
         stopping.check()
         ty, tx = divmod(int(tile), level.side)
+        # `used`: numbers in the level's mesh of the part's vertices.
         part, used = part_of(level.mesh, order[starts[tile] : starts[tile + 1]])
         count = len(part.triangles)
         placed = TileMesh(level.positions[used], part.normals, part.uv, part.triangles)
@@ -240,8 +246,9 @@ def _glb_name(stem: str, level: int, x: int, y: int) -> str:
 def _tile_json(stem: str, levels: list[_Level], tiles: dict, number: int, x: int, y: int) -> dict | None:
     """Return a tile and those below it as JSON, or None if there are none.
 
-    It has its box, lowest and highest corner, under "box" for the caller, which removes it. number: level. x, y: column
-    and row of the tile. stem: of the tileset's file name.
+    It has its box, lowest and highest corner, under "box" for the caller, which removes it. tiles: (box, number of
+    triangles) of each tile that was written, by (level, column, row). number: level. x, y: column and row of the tile.
+    stem: of the tileset's file name.
     """
     children = []
     if number + 1 < len(levels):

@@ -75,7 +75,8 @@ class Loans:
 
     def lend(self, memory: np.ndarray, count: int) -> np.ndarray:
         """Return the first `count` items of some memory, read-only."""
-        # A memoryview keeps numpy from making it writable, and its views refer to it rather than to the memory.
+        # An array over a read-only memoryview cannot be made writable, and all views of it keep it alive, so that the
+        # weak reference tells whether any of them is in use.
         lent = np.asarray(memory[:count].data.toreadonly())
         self._lent.append((memory, weakref.ref(lent)))
         return lent
@@ -83,16 +84,18 @@ class Loans:
     def reclaim(
         self, written: "Iterable[Buffers]", copied: "Iterable[Buffers]", read: "Iterable[Buffers]" = ()
     ) -> None:
-        """Give buffers other memory in place of lent arrays in use, so that they can be written.
+        """Give buffers that will be written other memory where a caller still uses a lent array over their memory.
 
-        Buffers in `copied` keep their contents. Those in `read` are not written and keep their memory. Memory of arrays
-        that callers have released is used again.
+        written: buffers whose contents are lost then. copied: buffers whose contents are copied into the other memory.
+        read: buffers that will not be written; they keep their memory. Memory of arrays that callers have released is
+        used again.
         """
         in_use = {id(memory): memory for memory, lent_ref in self._lent if lent_ref() is not None}
         returned = {id(memory): memory for memory, _ in self._lent if id(memory) not in in_use}
         self._lent = [(memory, lent_ref) for memory, lent_ref in self._lent if id(memory) in in_use]
         written, copied = list(written), list(copied)
         held = {id(memory) for buffers in (*written, *copied, *read) for memory in buffers.memory()}
+        # Memory that callers have released and that none of these buffers uses.
         spare = [memory for memory in returned.values() if id(memory) not in held]
         for buffers in (*written, *copied):
             buffers.replace(in_use, spare, copy=buffers in copied)
@@ -128,7 +131,10 @@ class Buffers:
         return existing[1]
 
     def struct(self, kind: Any, slot: int = 0) -> Any:
-        """Return the Warp struct of one kind for a slot: always the same object, so that `bind` sets only changes."""
+        """Return the Warp struct of one kind: always the same object, so that `bind` sets only changes.
+
+        slot: tells structs of one kind apart, for example those of several slices.
+        """
         if (kind, slot) not in self._structs:
             self._structs[kind, slot] = kind()
         return self._structs[kind, slot]

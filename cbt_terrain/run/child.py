@@ -46,7 +46,7 @@ def start(module: str, *arguments: str, variables: dict[str, str] | None = None,
 
     Args:
         variables: additions to its environment.
-        streams: its other standard streams, as of Popen, which may also have `start_new_session`.
+        streams: arguments of Popen, such as stdout and stderr, or `start_new_session`.
     """
     paths = {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-P", "-c", BOOTSTRAP, *bootstrap_arguments(module, *arguments)]
@@ -61,11 +61,12 @@ def bootstrap_arguments(module: str, *arguments: str) -> list[str]:
 def start_program(command: list[str], variables: dict[str, str] | None = None, **streams: Any) -> subprocess.Popen:
     """Start a program whose standard input is a pipe that lives as long as its parent. Only the parent receives Ctrl-C.
 
-    variables: additions to its environment. streams: its other standard streams, as of Popen. Raises OSError if it
-    cannot be started.
+    It gets no settings of the host's GDAL, PROJ and Python, which may not match its libraries, but in GRID_FOLDERS the
+    folders of PROJ's data, which may hold the user's grids. variables: additions to its environment. streams: arguments
+    of Popen, such as stdout and stderr. Raises OSError if it cannot be started.
     """
     environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES}
-    folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # a child that starts others has the first
+    folders = map(os.environ.get, (GRID_FOLDERS, "PROJ_DATA", "PROJ_LIB"))  # only in a child the first is set already
     environment[GRID_FOLDERS] = os.pathsep.join(filter(None, folders))
     return subprocess.Popen(
         command,

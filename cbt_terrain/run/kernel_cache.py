@@ -47,7 +47,8 @@ def load(name: str) -> None:
 def compiled_file(name: str) -> Path:
     """Return the path of a module's object for this processor; the file appears when it is complete.
 
-    A cache may serve several machines, as in a shared home: each kind of processor has a separate file in the folder.
+    A module's identifier is its name with a hash of its kernels, for blocks of one thread as on every CPU. A cache may
+    serve several machines, as in a shared home: each kind of processor has a separate file in the folder.
     """
     identifier = wp.get_module(name).get_module_identifier(CPU_BLOCK)
     processor = wp.get_cpu_kernel_cache_key().rpartition("-")[2]
@@ -107,6 +108,7 @@ def _load(name: str) -> None:
 def _build_folder() -> tempfile.TemporaryDirectory:
     """Make a folder in the cache with room for a compiled module, which the caller removes. Raises OSError."""
     folder = tempfile.TemporaryDirectory(prefix="build_", dir=wp.config.kernel_cache_dir, ignore_cleanup_errors=True)
+    # A full disk raises here, and not in the middle of a compilation.
     with tempfile.TemporaryFile(dir=folder.name) as probe:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(probe.fileno(), 0, ROOM_BYTES)
@@ -116,14 +118,17 @@ def _build_folder() -> tempfile.TemporaryDirectory:
 
 
 def _publish(built: Path, file: Path) -> None:
-    """Move a compiled module into the cache, while other processes may do the same or read. Raises OSError."""
+    """Move a compiled module into the cache, while other processes may do the same or read. Raises OSError.
+
+    built: the module's folder. file: path of its object in the cache.
+    """
     object_file = built / file.name
     object_file.with_suffix(CHECKSUM).write_text(_checksum(object_file))
     try:
         built.rename(file.parent)
     except OSError:  # the folder is there: another processor's object, a damaged one, or another process was faster
         names = sorted(path.name for path in built.iterdir())
-        for name in sorted(names, key=lambda name: name == file.name):  # the object last
+        for name in sorted(names, key=lambda name: name == file.name):  # the object last: others wait for its file
             (built / name).replace(file.parent / name)
 
 

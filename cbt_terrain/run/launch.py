@@ -3,7 +3,7 @@
 
 On the CPU a Warp launch is one serial loop on the calling thread, and ctypes releases the GIL, so two Python threads
 run two slices of a job in parallel. Results do not depend on the number of slices, because every kernel writes only to
-its slice. Work can be stopped between two launches.
+its slice. Work can be stopped between two launches. `step` is the name under which a launch's time is counted.
 """
 
 import os
@@ -174,9 +174,10 @@ def spread(
 ) -> None:
     """Launch `kernel` over `count` items, in equal ranges for `threads`; None: `default_threads`.
 
-    The kernel's first parameter is the int32 offset that it adds to `wp.tid()`. `cost` is the cost of an item relative
-    to a lookup and a few operations (about 15 ns); small jobs stay on one thread. More than MAX_LAUNCH items need an
-    int64 offset. `recorded`: dictionary of recorded launches, which are faster when repeated; None to record none.
+    The kernel's first parameter is the int32 offset that it adds to `wp.tid()`, `inputs` are the others. `cost` is the
+    cost of an item relative to a lookup and a few operations (about 15 ns); small jobs stay on one thread. More than
+    MAX_LAUNCH items need an int64 offset. `recorded`: dictionary of recorded launches, which are faster when repeated;
+    None to record none.
     """
     from ...kernels import wp
 
@@ -185,7 +186,9 @@ def spread(
     stopping.check()
     with timed(step):
         _load(kernel)
+        # Launches at the same time: each with at least SLICE_ITEMS lookups of work, which outweighs its start.
         at_once = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
+        # All launches; more than `at_once` only if a launch cannot hold its part of the items.
         pieces = max(at_once, -(-count // MAX_LAUNCH))
 
         def job(slot: int, lo: int, hi: int) -> Callable[[], None]:

@@ -135,6 +135,7 @@ def open_folder(path: str | os.PathLike, make: bool = False, may_be_link: bool =
     above = Path(*path.parts[: len(path.parts) - count])
     if make:
         above.mkdir(parents=True, exist_ok=True)
+    # `_PASS`: open without the right to list; `_FOLDER`: fail if it is no folder. Windows has no descriptor (None).
     folder = OpenFolder(above, os.open(above, _PASS | _FOLDER) if _BY_DESCRIPTOR else None)
     try:
         for name in names:
@@ -246,18 +247,18 @@ def _not_ours(path: Path, status: os.stat_result, expected: str, then: str = "tr
 
 
 def check_folder(path: str | os.PathLike, *names: str) -> None:
-    """Raise NotOursError if a path, or a folder of `names` in it, exists and is no folder of this program.
+    """Raise NotOursError if a path, or an entry of `names` in it, exists and is no real folder, for example a link.
 
     Raises TerrainError if that cannot be determined.
     """
     try:
-        with open_folder(path) as folder:
+        with open_folder(path) as folder:  # checks the path itself
             for name in names:
                 status = folder.find(name)
                 if status is not None and (is_link(status) or not stat.S_ISDIR(status.st_mode)):
                     raise _not_ours(folder.path / name, status, "a folder")
     except (FileNotFoundError, NotADirectoryError):
-        pass
+        pass  # a folder above the path is missing or is a file, so nothing exists at the path
     except OSError as reason:
         raise TerrainError(
             f"The folder {shown(path)} cannot be used ({reason.strerror or reason})",

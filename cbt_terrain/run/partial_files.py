@@ -224,7 +224,7 @@ def remove_if_abandoned(
                 if sys.platform == "win32" and lock is not None:  # Windows removes no open file
                     os.close(lock)
                     lock = None
-                for file in folder.parent.glob(f"{folder.name}-*"):
+                for file in folder.parent.glob(f"{folder.name}-*"):  # those of `written_among`
                     owned_files.remove_file(file, may_be_link=True)
                 # A private folder may be in a folder that the user reaches through a link.
                 owned_files.remove_tree(folder, may_remove, may_be_link=may_remove is None)
@@ -264,6 +264,7 @@ def _open_lock(folder: Path) -> int | None:
                 raise
             if LOCK not in names:  # a writer would have one
                 return None
+            # It was created between both calls: open it.
     raise FileNotFoundError(folder / LOCK)
 
 

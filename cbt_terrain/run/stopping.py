@@ -79,7 +79,10 @@ def checking(function: Callable[[], None]) -> Iterator[None]:
 
 @contextmanager
 def held() -> Iterator[None]:
-    """Delay a stop until the end of the block: Blender prints exceptions of handlers, and continues."""
+    """Delay a stop until the end of the block, for functions that Blender calls.
+
+    An exception in one of them would stop nothing: Blender prints it and continues.
+    """
     global _held
     _held += 1
     try:
@@ -102,6 +105,7 @@ def listening() -> Iterator[None]:
         return
     # Ignored signals (nohup, a job in the background) stay ignored.
     numbers = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+    # Python writes the number of each signal to a pipe, and a thread reads it from there.
     reader, writer = os.pipe()
     if hasattr(os, "set_blocking"):  # Windows does not need it
         os.set_blocking(writer, False)
@@ -127,7 +131,10 @@ def listening() -> Iterator[None]:
 
 
 def _replace(number: int) -> Callable[[], object]:
-    """Let Python note a signal without acting on it. Return a function that restores the previous handler."""
+    """Let Python note a signal without acting on it. Return a function that restores the previous handler.
+
+    Python then only writes the signal's number to the wakeup descriptor, from which a thread reads it.
+    """
     getsig, setsig = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
     getsig.argtypes, getsig.restype = (ctypes.c_int,), ctypes.c_void_p
     setsig.argtypes, setsig.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 0.1
 MAX_CHILDREN = 4
-HOUSE = f"{child.PACKAGE}.kernels."  # of kernels, in this process
-# Names of rooms of kernels. They are imported when they are first needed: they take 1.5 s, and not every file of
+HOUSE = f"{child.PACKAGE}.kernels."  # prefix of the names of all modules of kernels in this process
+# Packages of kernels ("rooms"). They are imported when they are first needed: they take 1.5 s, and not every file of
 # Blender has a terrain.
 FRAME = "field", "tree", "refine", "budget", "mesh"
 OVERLAY = ("accuracy",)
@@ -84,6 +84,7 @@ class _Preparation:
             if not all(file.exists() for file in compiled.values()):
                 self.fraction = 0.0
                 kernel_cache.ensure_writable()
+                # Again, since a cache that cannot be written has been replaced by a temporary folder.
                 compiled = {module: compiled_file(module) for module in compiled}
                 processes = self._start_children(groups)
             for group, ready in zip(groups, self.ready, strict=True):
@@ -96,6 +97,8 @@ class _Preparation:
             _tried.update(module for group in groups for module in group)  # `prepare_modules` does not try them again
             for ready in self.ready:
                 ready.set()
+            # The children go on to compile modules that are needed later: end them when they have done so, or at once
+            # when the preparation is stopped.
             for process in processes:
                 while process.poll() is None and not self.stopping.wait(POLL_SECONDS):
                     pass
@@ -117,7 +120,10 @@ class _Preparation:
             load(module)
 
     def _start_children(self, groups: list[list[ModuleType]]) -> list[subprocess.Popen]:
-        """Start the child processes, each with a share of every group; return none if the system allows none."""
+        """Start the child processes, each with a share of every group; return none if the system allows none.
+
+        Modules are passed by their names in the package HOUSE. Those of `_later` are compiled last, and not waited for.
+        """
         from ...kernels import wp
 
         count = min(MAX_CHILDREN, max(1, launch.default_threads() - 1))  # one core stays with the window
@@ -157,8 +163,8 @@ def is_first_start() -> bool:
 def prepare_modules(modules: Iterable[ModuleType | str]) -> bool:
     """Return whether these modules are prepared. If not, start that, unless others are in progress; then call again.
 
-    modules: as in `import_kernels`. A module whose preparation failed counts as prepared: the launch of its kernels
-    raises the error.
+    modules: modules of kernels, or names of those of this package ("effects.jet"). A module whose preparation failed
+    counts as prepared: the launch of its kernels raises the error.
     """
     global _requested
     missing = [module for module in import_kernels(modules) if module not in _tried]
@@ -204,6 +210,7 @@ def wait(overlay: bool = False) -> None:
     """
     for preparation in (_current, _requested):
         if preparation is not None:
+            # The first group is that of a frame, the last one that of the overlay; `prepare_modules` has a single one.
             ready = preparation.ready[-1 if overlay else 0]
             while not ready.wait(POLL_SECONDS):
                 stopping.check()

@@ -25,8 +25,9 @@ VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM
 def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
     """Drop this process's rights before files are opened, and return the report of `sandbox.enter`, with "memory".
 
-    folder: existing one, where this process may still write; None for no folder. encoding: how the pixels of an image
-    hold heights, PLAIN for numbers.
+    paths: the files. folder: existing one, where this process may still write; None for no folder. encoding: how the
+    pixels of an image hold heights: PLAIN as numbers, others as colours, which are decoded into a GeoTIFF in memory; ""
+    if the file's name tells.
 
     Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
     right remains.
@@ -36,9 +37,9 @@ def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> 
     forms: dict[str, tuple[SourceFormat, Path]] = {}
     drivers: set[str] = set()
     for path, form in [(each, form) for each in paths for form in inner_formats(each)]:
-        forms[form.title] = form, path
+        forms[form.title] = form, path  # one file of each format, for errors
         if form.driver and may_be_coded(path, encoding):
-            drivers.add("GTiff")  # for decoded heights
+            drivers.add("GTiff")  # for the decoded heights
     for form, _path in forms.values():
         form.load()
         drivers |= drivers_of(form) if form.driver else set()
@@ -71,6 +72,7 @@ def guard_import(settings: ImportSettings, path: Path | None, files: Sequence[Pa
     """Load kernels, make the folder of the store `path`, and drop rights before an import. Raises TerrainError.
 
     Args:
+        settings: of the import. `source` is a file or the name of a built-in terrain (LANDS), which has kernels, too.
         path: None for a process that writes nothing.
         files: the files of a mosaic; by default that of the settings.
     """

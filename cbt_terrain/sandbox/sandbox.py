@@ -44,8 +44,8 @@ def enter(folder: Path | None) -> dict[str, str]:
     if sys.platform != "linux" or sys.maxsize < 2**32:
         return dict.fromkeys(names, f"{REMAINS}: only 64-bit Linux can drop it")
     libc = ctypes.CDLL(None, use_errno=True)
-    libc.prctl(PR_SET_NO_NEW_PRIVS, *map(ctypes.c_ulong, (1, 0, 0, 0)))
-    _die_first()
+    libc.prctl(PR_SET_NO_NEW_PRIVS, *map(ctypes.c_ulong, (1, 0, 0, 0)))  # the condition for Landlock and seccomp
+    _die_first()  # if memory runs out
     writes = _outcome(_drop_writes, libc, folder)
     calls = _outcome(_drop_calls, libc)
     return dict.fromkeys(names, calls) | {"writes": writes}
@@ -100,6 +100,7 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
     header, sets = struct.pack("Ii", CAPABILITIES_VERSION, 0), ctypes.create_string_buffer(24)
     if libc.capget(header, sets) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
+    # Effective, permitted and inheritable rights 0 .. 31, then those from 32 on, of which none is kept.
     effective, permitted, *_ = struct.unpack("6I", sets)
     reduced = struct.pack("6I", effective & FILE_CAPABILITIES, permitted & FILE_CAPABILITIES, 0, 0, 0, 0)
     if libc.capset(header, reduced) < 0:
@@ -116,6 +117,7 @@ def _drop_writes(libc: ctypes.CDLL, folder: Path | None) -> str:
         return f"{REMAINS}: this kernel's Landlock is too old"
     files = READ_FILE | ALL_WRITES | (TRUNCATE if version >= 3 else 0) | (IOCTL_DEV if version >= 5 else 0)
     network, scopes = [BIND_AND_CONNECT_TCP] * (version >= 4), [ABSTRACT_SOCKETS_AND_SIGNALS] * (version >= 6)
+    # The rights that the ruleset refuses, 64 bits each: those to files, and what later versions know.
     attributes = struct.pack(f"{1 + len(network + scopes)}Q", files, *network, *scopes)
     ruleset = call(libc, LANDLOCK_CREATE_RULESET, attributes, ctypes.c_size_t(len(attributes)), 0)
     try:

@@ -243,7 +243,7 @@ class StoreJob(ChildJob):
             content = stores.read_json(self._store)
         except TerrainError:
             return None
-        return content["report"] if content["data"] == self._folder else None
+        return content["report"] if content["data"] == self._folder else None  # "data": name of the arrays' folder
 
     def _discard(self) -> None:
         """Remove the incomplete arrays of the child; work that can be continued only after a cancel."""
@@ -267,7 +267,10 @@ def _parse_line(line: bytes) -> dict:
 
 
 def _parse_error(fields: dict) -> TerrainError:
-    """Return the child's error without its code, since code reacts to that. Raises ValueError for other content."""
+    """Return the child's error without its field `code`, by which callers decide: the child is not trusted.
+
+    Raises ValueError for other content.
+    """
     fields = {name: fields[name] for name in TerrainError.FIELDS if name in fields and name != "code"}
     if "what" not in fields or not all(isinstance(text, str) for text in fields.values()):
         raise ValueError
@@ -307,9 +310,10 @@ def wait_for(
 def ask(module: str, request: dict, what: str, on_progress: Tell = lambda _fraction, _message: None) -> Any:
     """Return the report of a child that opens a file from outside. what: the file, in errors. Raises TerrainError.
 
-    on_progress(fraction, message) is called repeatedly; an exception from it stops the child.
+    module: its `child_main` answers the `request`, which is sent as JSON. on_progress(fraction, message) is called
+    repeatedly; an exception from it stops the child.
     """
-    # It is watched from the start, until it sends another message.
+    # It is killed if it is silent for too long after its start: `watched` is the message that a job has at first.
     job = partial(ChildJob, what=f"Reading {what}", fix=CHECK_FILE, reading=what, watched=(JobProgress.message,))
     return wait_for(lambda: job(module, request, variables=VARIABLES), on_progress)
 
@@ -322,11 +326,13 @@ ChildWork = Callable[[dict, Tell, Callable[[], None]], Mapping | Sequence]
 def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None] = lambda: None) -> None:
     """Read a request from stdin, do it, and report on stdout; for the child process.
 
-    what(request): the work as a noun, for errors. heard(): called when the parent writes another line. An unexpected
-    exception of the work is reported and raised again.
+    work(request, on_progress, watch_parent): does it and returns the report. As soon as the process may start threads
+    it calls watch_parent(), and from then on this process ends with its parent. what(request): the work as a noun, for
+    errors. heard(): called when the parent writes another line. An unexpected exception is reported and raised again.
     """
+    # Messages go to a copy of stdout, and descriptor 1 to stderr, so that prints of libraries are no messages.
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # libraries print to stderr
+    os.dup2(2, 1)
     request = json.loads(io.FileIO(0, closefd=False).readline())  # the thread of end_with_parent reads the rest
     sent = 0.0
 
@@ -349,7 +355,7 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
             send({"fraction": fraction, "message": message})
 
     def clean_up() -> None:
-        """Remove the arrays of a store that was not completed and cannot be continued."""
+        """Remove the arrays of a store that was not completed, unless a later import can continue (`with_work`)."""
         new_folders = list(map(Path, request["new_folders"]))
         store_folder.discard(Path(request["store"]), request["folder"], new_folders, with_work=False)
 

@@ -52,7 +52,8 @@ FCNTL = (0, 1, 2, 3, 4, 5, 6, 7, 36, 37, 38, 1030)
 IOCTL = (0x5401, 0x5413, 0x541B, 0x5421, 0x5450, 0x5451)  # TCGETS, TIOCGWINSZ, FIONREAD, FIONBIO, FIONCLEX, FIOCLEX
 PRCTL = (15, 16)  # name a thread
 
-# Of classic BPF: load a word of `struct seccomp_data`, mask it, compare it, return.
+# Of classic BPF: load a word of `struct seccomp_data`, mask it, compare it, return. An instruction is (one of these
+# codes, instructions to skip if the comparison is true, instructions to skip if it is false, operand).
 LOAD, AND, JUMP_EQUAL, JUMP_NOT_BELOW, RETURN = 0x20, 0x54, 0x15, 0x35, 0x06
 NUMBER_AT, ARCH_AT, ARGUMENTS_AT, WORD = 0, 4, 16, 0xFFFFFFFF
 ALLOW, REFUSE, UNKNOWN = 0x7FFF0000, 0x00050000 | errno.EPERM, 0x00050000 | errno.ENOSYS
@@ -62,15 +63,21 @@ Test = tuple[int, int, tuple[int, ...]]
 
 
 def tested_arguments() -> dict[str, list[Test]]:
-    """Return the tests of arguments by call. Word 2 i is the low half of argument i."""
-    opened = (0, 1, 2, 3, O_TRUNC | 1, O_TRUNC | 2, O_TRUNC | 3)  # Landlock refuses to cut files short from version 3
+    """Return the tests of arguments by call, each (word, mask, values): word & mask must be one of the values.
+
+    Word 2 i is the low half of argument i. A call with several tests must pass all. FCNTL, IOCTL and PRCTL list the
+    commands of these calls that are allowed.
+    """
+    # All but O_TRUNC for reading, which cuts a file short: Landlock refuses that only from version 3.
+    opened = (0, 1, 2, 3, O_TRUNC | 1, O_TRUNC | 2, O_TRUNC | 3)
     return {
         "open": [(2, O_ACCMODE | O_TRUNC, opened)],
         "openat": [(4, O_ACCMODE | O_TRUNC, opened)],
-        "mmap": [(6, MAP_SHARED | MAP_ANONYMOUS, (0, MAP_SHARED, MAP_ANONYMOUS))],  # RLIMIT_DATA ignores shared memory
-        "clone": [(0, CLONE_THREAD | CLONE_NEW, (CLONE_THREAD,))],
-        "tgkill": [(0, WORD, (os.getpid(),))],
-        "prlimit64": [(0, WORD, (0,))],
+        # No anonymous shared memory, which RLIMIT_DATA ignores.
+        "mmap": [(6, MAP_SHARED | MAP_ANONYMOUS, (0, MAP_SHARED, MAP_ANONYMOUS))],
+        "clone": [(0, CLONE_THREAD | CLONE_NEW, (CLONE_THREAD,))],  # threads, no processes
+        "tgkill": [(0, WORD, (os.getpid(),))],  # signals to this process alone
+        "prlimit64": [(0, WORD, (0,))],  # limits of this process alone
         "fcntl": [(2, WORD, FCNTL)],
         "ioctl": [(2, WORD, IOCTL)],
         "prctl": [(0, WORD, PRCTL)],
@@ -79,7 +86,10 @@ def tested_arguments() -> dict[str, list[Test]]:
 
 
 def allow_only_listed(libc: ctypes.CDLL) -> None:
-    """Refuse every call but those of `ALLOWED`, on all threads, for good. Raises OSError."""
+    """Refuse every call but those of `ALLOWED`, on all threads, for good. Raises OSError.
+
+    `ALLOWED` has the numbers of a call on each kind of machine, None where there is no such call.
+    """
     tests, column = tested_arguments(), MACHINES[platform.machine()][1]
     lines = []
     for name, numbers in ALLOWED.items():
@@ -117,7 +127,7 @@ def _install(libc: ctypes.CDLL, lines: list[tuple]) -> None:
     are newer than the list, so that libraries fall back to older ones. Raises OSError.
     """
     audit_arch, column = MACHINES[platform.machine()]
-    program = [
+    program = [  # of the preamble: another architecture, x32, a new call
         *((LOAD, 0, 0, ARCH_AT), (JUMP_EQUAL, 1, 0, audit_arch), (RETURN, 0, 0, REFUSE)),
         *((LOAD, 0, 0, NUMBER_AT), (JUMP_NOT_BELOW, 0, 1, X32), (RETURN, 0, 0, REFUSE)),
         *((JUMP_NOT_BELOW, 0, 1, FIRST_NEW), (RETURN, 0, 0, UNKNOWN)),

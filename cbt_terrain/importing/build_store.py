@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Import of a source into a store, within the calling process."""
+"""Import of a source into a store, within the calling process.
+
+A TileWork is the description of an import's arrays and tiles, and the folder where they are made. The folder is that of
+a draft, which becomes the store's content when it is published. A first picture is a quick import of few samples.
+"""
 
 import dataclasses
 import os
@@ -42,8 +46,8 @@ from .tile_import import (
 )
 from .tile_tasks import TileSource
 
-ORIGINAL_SHARE = 0.1  # of the progress of a resampled raster
-COARSE_SHARE = 0.4  # of the progress of a raster with finer tiles
+ORIGINAL_PROGRESS = 0.1  # of the progress of a resampled raster
+COARSE_PROGRESS = 0.4  # of the progress of a raster with finer tiles
 FINER = "Reading finer files"  # message meanwhile
 
 
@@ -61,8 +65,8 @@ def run_import(
 
     on_progress: gets a fraction and a message; an exception from it stops the import. folder: name of the folder for
     the new arrays; None for a random one. crew: processes that read and measure a large raster, which the caller
-    closes; None for this process. part: the part to do of an import, which has the report of `do_part`; None
-    for all that is not done yet. Raises TerrainError.
+    closes; None for this process. part: the part of an import to do, if several computers share it; the report then
+    has only numbers of tiles. None for all that is not done yet. Raises TerrainError.
     """
     store_folder.check_target(path)
     settings.check()
@@ -88,7 +92,7 @@ def import_raster(
     If the store has the same mosaic already, its report is returned. file: the source, or its unpacked height map.
     folder: name of the folder for the new arrays. on_progress: gets a fraction and a message; may raise to stop.
     open_raster: opens the source of the settings; its raster is closed here. crew: processes that read and measure,
-    None for this one alone. part: the part of an import to do, None for all.
+    None for this one alone. part: the step and tiles that this computer does if several share the import, None for all.
     """
     started = time.monotonic()
     settings = dataclasses.replace(given, source=str(file)) if file != Path(given.source) else given
@@ -98,7 +102,7 @@ def import_raster(
         report = finished_import(path, given, raster) if raster.sources else None
         if report is not None:
             return report
-        # The heights of an earlier quick import, around which single tiles are loaded now.
+        # With tiles to load in more detail, the store has a first picture (land), whose heights all other tiles keep.
         land = _first_picture(given, raster, path) if settings.loaded_tiles else None
         if land is not None:
             raster = refined(raster, settings, land)
@@ -106,22 +110,24 @@ def import_raster(
             raster = thinned(raster, settings)
             if raster.full_size is None:  # it has so few samples that all are read
                 given, settings = (dataclasses.replace(each, quick=0) for each in (given, settings))
+        # Describe the arrays: position, lattice, scale of heights, and the tiles to make.
         digest = source_digest(given, raster.sources, raster.method)
         place = place_of(settings, raster)
-        width, height = (max(count, 2) for count in _size(raster, place))
+        width, height = (max(count, 2) for count in _size(raster, place))  # a single line of samples is repeated
         lattice = lattice_for(width, height, place.step_x, place.step_y, settings.name)
         fitted, notes = fit_heights(settings, raster, place.step_x * (width - 1))
         raster.warnings += notes
         if land is not None and fitted is not settings:  # the first picture has another range of values
             raise TerrainError(f"The heights of {settings.name} depend on all samples", fix="import all of it")
         settings, source = fitted, TileSource(raster, fitted, place, land)
-        wanted = work_of(path / folder, source, lattice, digest)
+        wanted = work_of(path / folder, source, lattice, digest)  # nothing of it is done yet
+        # Do a part alone. Of tiles to load, each is read into its own file, which the import itself takes later.
         if part is not None and land is not None:
             return read_ahead(part, wanted, source, on_progress)
         if part is not None:
             return do_part(part, wanted, source)
         reader, crew = HeightReader(raster, settings), crew or Crew()
-        with open_work(wanted, source) as (draft, work):
+        with open_work(wanted, source) as (draft, work):  # work: that of a killed import of the same, or None
             if land is not None and work is None:
                 copy_store(first_picture(path), draft.folder / store_folder.FIRST)
             field = _build_coarse(reader, source, wanted, draft, work, crew, on_progress)
@@ -134,14 +140,15 @@ def import_raster(
             if raster.finer is not None:
                 field = _add_finer_tiles(field, HeightReader(raster, settings), draft, on_progress)
             report = report_of(field, source, reader.check)
+            # Warnings name the file that the user gave, not its unpacked copy.
             report["warnings"] = [text.replace(str(file), given.source) for text in report["warnings"]]
             report["seconds"] = round(time.monotonic() - started, 3)
             raster.finish(draft.folder)
             if land is not None:
-                _first_picture(given, raster, path)  # a complete import has ended meanwhile if it is gone
+                _first_picture(given, raster, path)  # raises if it is gone: a complete import has ended meanwhile
             draft.publish(field, digest, report)
         if land is not None:
-            remove_ahead(path)
+            remove_ahead(path)  # the files of tiles that were read before, which are in the store now
         return report
     finally:
         raster.close()
@@ -158,16 +165,17 @@ def _build_coarse(
 ) -> HeightField:
     """Check and build the height field of a raster, without its finer tiles, in the arrays of a draft.
 
-    reader: gets the figures of the heights that are read. wanted: description of the work. work: of an unfinished
-    import, None without one. on_progress: gets the fraction of the whole import.
+    reader: gets the figures of the heights that are read. wanted: the work to do, from its beginning. work: that of an
+    unfinished import, to continue; None without one. on_progress: gets the fraction of the whole import.
     """
     raster = reader.raster
-    begin = _check_original(raster, reader.check, on_progress)
-    end = 1.0 if raster.finer is None else COARSE_SHARE
+    # begin, end: fractions of the import at which the tiles are begun and done
+    begin = _check_original(raster, reader.check, on_progress)  # of a resampled raster, whose values it has read
+    end = 1.0 if raster.finer is None else COARSE_PROGRESS
 
-    def tell(share: float, message: str) -> None:
+    def tell(fraction: float, message: str) -> None:
         """Report a fraction of this step as one of the whole import."""
-        on_progress(begin + (end - begin) * share, message)
+        on_progress(begin + (end - begin) * fraction, message)
 
     return build_by_tile(work, draft, wanted, source, reader, crew, tell)
 
@@ -175,18 +183,18 @@ def _build_coarse(
 def _check_original(raster: Raster, check: ValueCheck, on_progress: Tell) -> float:
     """Check the values of a resampled raster before its resampling, which mixes marks of missing samples with heights.
 
-    Return the share of the progress that this took: 0 for a raster that is not resampled.
+    Return the fraction of the progress that this took: 0 for a raster that is not resampled.
     """
     if raster.original is None:
         return 0.0
-    for share, rows in raster.original.blocks():
+    for fraction, rows in raster.original.blocks():
         check.add(rows)
-        on_progress(ORIGINAL_SHARE * share, READING)
-    return ORIGINAL_SHARE
+        on_progress(ORIGINAL_PROGRESS * fraction, READING)
+    return ORIGINAL_PROGRESS
 
 
 def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draft, on_progress: Tell) -> HeightField:
-    """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_SHARE to 0.99.
+    """Return the field with a mosaic's finer files in arrays of a draft. on_progress: gets COARSE_PROGRESS to 0.99.
 
     reader: gets the figures of the heights that are read.
     """
@@ -197,7 +205,7 @@ def _add_finer_tiles(field: HeightField, reader: HeightReader, draft: store.Draf
 
     def tell(done: float) -> None:
         """Report a fraction of this step as one of the whole import."""
-        on_progress(COARSE_SHARE + (0.99 - COARSE_SHARE) * done, FINER)
+        on_progress(COARSE_PROGRESS + (0.99 - COARSE_PROGRESS) * done, FINER)
 
     field = add_finer_tiles(field, source, reader, draft, work, tell)
     return dataclasses.replace(field, source_max=max(field.source_max, reader.source_max()))
@@ -208,6 +216,7 @@ def _first_picture(settings: ImportSettings, raster: Raster, path: Path) -> Coar
 
     Raises TerrainError if the store is of another source.
     """
+    # A first picture of the same files has the same settings, without tiles to load.
     before, picture = dataclasses.replace(settings, loaded_tiles=(), loaded_finer=()), first_picture(path)
     if import_before(picture, before, raster) is None:
         raise TerrainError(
@@ -223,8 +232,10 @@ def _provenance(
 ) -> dict:
     """Return the origin of a store's heights as JSON, with which the import can be repeated.
 
-    land: the coarse land around loaded tiles; None if all tiles have one step. LOADED, if samples are left out: steps,
-    metres, of the coarse land or else of the raster, and of all samples. REFINED: step and number of the loaded tiles.
+    If samples are left out, LOADED has two steps, metres: between those of the first picture, and between all samples
+    of the source. REFINED has the step, metres, and the number of the loaded tiles.
+
+    land: the heights of the first picture around loaded tiles; None if all tiles have one step.
     """
     values = dataclasses.asdict(settings)
     values["source"], *more = map(absolute_source, settings.sources)
@@ -233,13 +244,14 @@ def _provenance(
     loaded: dict = {} if raster.full_size is None else {LOADED: loaded_steps(raster, place)}
     if land is not None:
         step, full_step = loaded[LOADED]
+        # A cell of the first picture has 2^land.bits cells of the loaded tiles a side.
         loaded = {LOADED: [step * 2.0**land.bits, full_step], REFINED: [step, len(land.loaded)]}
-        loaded |= finer_provenance(raster, lattice, full_step)
+        loaded |= finer_provenance(raster, lattice, full_step)  # the same of squares of finer files, if any are loaded
     return {"settings": values, "format": raster.format, "stored": raster.stored, **loaded}
 
 
 def place_of(settings: ImportSettings, raster: Raster) -> Georeference:
-    """Return the raster's georeference, or 1 m a sample, with the steps of the extent if one is given.
+    """Return the raster's georeference; without one, samples are 1 m apart. An extent in the settings gives the steps.
 
     Raises TerrainError if the file's georeference gives a size that no terrain can have.
     """

@@ -29,6 +29,7 @@ def open_draft(
 
     Args:
         folder: name of the folder for the new arrays; None for a random one.
+        lattice: grid of the samples, of which errors give the size.
         needed: bytes that the store takes on the disk while it is made; None if the folder is there, with all arrays.
         elsewhere: remedy if no room can be made, in errors.
         doubt: further remedy if the store is implausibly large, in errors.
@@ -40,7 +41,7 @@ def open_draft(
         draft = store.Draft(path, folder, may_exist=needed is None)
         yield draft
     except OSError as reason:
-        with_work = True
+        with_work = True  # the disk has failed, so the unfinished work is removed, too
         raise unwritable(f"The store {path}", reason, elsewhere) from reason
     finally:
         if draft is not None:
@@ -50,15 +51,17 @@ def open_draft(
 def work_bytes(lattice: Lattice, sample_bytes: int) -> int:
     """Return the bytes that an import's store takes on the disk while it is made, with marks of missing samples."""
     samples = (sample_bytes + 1) * lattice.width * lattice.height
+    # An error is a byte, with an eighth more for small files, as of tiles' borders. A range is two numbers of 16 bits.
     return samples + lattice.node_count * 9 // 8 + 4 * lattice.range_count
 
 
 def shaped_bytes(lattice: Lattice, layers: int, finer_tiles: int) -> int:
-    """Return the bytes that a store of shaped land takes on the disk while it is made.
+    """Return the bytes that a store whose heights operators have changed takes on the disk while it is made.
 
     layers, finer_tiles: numbers of its layers and finer tiles.
     """
-    # Heights are there as float32 with marks of holes, errors as float32 and as codes.
+    # Heights are there as float32 with marks of holes (4 + 1 bytes), layers as float32, errors as float32 and as codes
+    # (4 + 1). A range is two numbers of 16 bits.
     raster = (5 + 4 * layers) * lattice.width * lattice.height + 5 * lattice.node_count + 4 * lattice.range_count
     return raster + TILE_BYTES * finer_tiles
 

@@ -96,16 +96,18 @@ def source_digest(
     values = dataclasses.asdict(settings)
     values["source"], *more = names or map(absolute_source, settings.sources)
     values["more_sources"] = tuple(more)
+    # A new setting that is not used leaves the digest as older versions have it.
     for field in dataclasses.fields(settings):
         if field.name in ADDED_SETTINGS and values[field.name] == field.default:
             del values[field.name]
-    parts = [METHOD, store.VERSION, values, *([method] if method else [])]
-    if names_several(settings):
+    parts = [METHOD, store.VERSION, values, *([method] if method else [])]  # what the digest is of, as JSON
+    if names_several(settings):  # a mosaic, whose `sources` have the further files of its tiles
         for file in [*files_of(settings), *sources]:
             check_named(file)
             name, size, changed_ns = file_stat(file)
             parts.append((paths.get(name, name), size, changed_ns))
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+    # One file: the files that belong to it (sidecars) count as well.
     parts += [RESAMPLING] if settings.project else []
     if not may_name_several(settings):
         settings.check_file()

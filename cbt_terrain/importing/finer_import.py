@@ -4,6 +4,10 @@
 They are made in the work of that raster (tiling/tile_work.py): a window of tiles that was read, or a tile that was
 measured, in a killed import is not made again. Neither is one of the store at the same path, if all that determines it
 is the same. Files are read only where they have changed, also for the rings inside their borders.
+
+A finer tile is a square of SIDE x SIDE finer cells, a window a square of WINDOW x WINDOW tiles whose heights are read
+together. Records (lines of JSON in the work's folder) mark finished results: FILLED is the kind of a window's heights,
+the other kinds are of tiles.
 """
 
 import math
@@ -50,15 +54,17 @@ def add_finer_tiles(
 ) -> HeightField:
     """Return the field `plain` of the coarser files with the finer heights of `source`, in the arrays of a draft.
 
-    Near the border of all finer tiles they are mixed with the heights of `plain`. reader: gets their figures. work: of
-    the raster, in the draft's folder. on_progress: called with the fraction that is done.
+    Near the border of all finer tiles they are mixed with the heights of `plain`. reader: gets their figures (FIGURES:
+    largest height and errors). work: of the raster, in the draft's folder. on_progress: called with the fraction that
+    is done.
     """
     bits, lattice = source.bits, plain.lattice
     last = lattice.cells_x << bits, lattice.cells_y << bits  # column and row of the last finer sample
-    margin = border_margin(bits)
-    known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))
+    margin = border_margin(bits)  # finer samples in which they are mixed; files are that far inside the tiles' border
+    known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))  # (column, row) of the finer tiles
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
     windows = _Windows(source, reader, last)
+    # Tiles of the store that is replaced can be copied only if the source gives digests of what determines them.
     earlier = _EarlierTiles(draft.path, work, bits) if source.inputs is not None else None
     records = _WorkRecords(work, windows, earlier)
     if source.keep_seams is not None:  # the source keeps records of the borders of its files
@@ -68,6 +74,7 @@ def add_finer_tiles(
         """Return the finer heights of a tile, near the border of all tiles mixed with those of the raster."""
         heights = windows.heights(box)
         rows, columns = box.shape
+        # Weights of the finer heights: from 0 at the border of all tiles to 1 inside the margin.
         weights = border_weights((box.x0 // SIDE, box.y0 // SIDE), known, margin, last)[:rows, :columns]
         if (weights < 1.0).any():
             x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
@@ -103,6 +110,7 @@ class _EarlierTiles:
         with suppress(TerrainError, OSError):
             folder = store_folder.named_folder(path)
             before = work_in(folder) if folder is not None else None
+            # Columns and rows of samples that the store's have further east and north; None if they do not coincide.
             samples = samples_moved(before, work) if before is not None else None
             tiles = open_store(path).raster.finer if samples is not None else None
             if tiles is None or tiles.bits != bits or samples is None:
@@ -113,13 +121,20 @@ class _EarlierTiles:
                 self._tiles, self.work, self._moved = tiles, before, (columns // side, rows // side)
 
     def place(self, kind: str, place: Tile) -> Tile:
-        """Return column and row in the earlier store of a tile, or of a window, which may be outside of its raster."""
+        """Return column and row in the earlier store of a tile, or of a window, which may be outside of its raster.
+
+        kind: of the record, FILLED for a window.
+        """
+        # `_moved`: windows by which a window of the earlier store is further east and north in the new raster.
         times = 1 if kind == FILLED else WINDOW
         return place[0] - times * self._moved[0], place[1] - times * self._moved[1]
 
     def array(self, name: str, tile: Tile) -> np.ndarray | None:
-        """Return the array of a tile by the name of its file, None without the tile."""
-        column, row = self.place(MEASURED, tile)
+        """Return an array of a tile of the earlier store, None without the tile.
+
+        name: "heights", "errors", "ranges" or "limits", a field of FinerTiles. tile: column and row in the new raster.
+        """
+        column, row = self.place(MEASURED, tile)  # in the earlier store; MEASURED is a kind of records of tiles
         numbers = self._tiles.numbers if self._tiles is not None else np.zeros((0, 0), np.int32)
         if not (0 <= row < numbers.shape[0] and 0 <= column < numbers.shape[1]) or numbers[row, column] < 0:
             return None
@@ -135,6 +150,7 @@ class _WorkRecords(FinerRecords):
 
     def __init__(self, work: TileWork, windows: "_Windows", earlier: _EarlierTiles | None):
         self._work, self._windows, self._earlier = work, windows, earlier
+        # By kind and number: records of this import, and of the earlier store.
         self._found = {kind: work.records(kind) for kind in (*FINER, SEAMS)}
         before = earlier.work if earlier is not None else None
         self._before = {kind: before.records(kind) if before is not None else {} for kind in (*FINER, SEAMS)}
@@ -142,8 +158,8 @@ class _WorkRecords(FinerRecords):
     def find(self, kind: str, place: Tile, inputs: str) -> Iterator[tuple[dict[str, Any], Arrays | None]]:
         """Yield the records of a kind for a tile or window: first that of this import, then that of the earlier store.
 
-        Each comes with a function that returns the earlier store's arrays, or None. place: column and row.
-        inputs: is not used; the caller compares it.
+        A record of the earlier store comes with a function that returns that store's arrays, one of this import with
+        None. place: column and row. inputs: is not used here; the caller compares it with the entry of a record.
         """
         found = self._found[kind].get(_number_of(place))
         if found is not None:
@@ -212,7 +228,7 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
     tiles.
     """
     is_known = np.zeros(shape, bool)
-    for west, north, east, south in boxes:
+    for west, north, east, south in boxes:  # rows of tiles are counted from the south
         first_x, last_x = max(west - margin, 0) // SIDE, min(east + margin, last[0] - 1) // SIDE
         first_y, last_y = max(last[1] - south - margin, 0) // SIDE, min(last[1] - north + margin, last[1] - 1) // SIDE
         is_known[first_y : last_y + 1, first_x : last_x + 1] = True
@@ -220,21 +236,22 @@ def known_tiles(boxes: np.ndarray, margin: int, last: tuple[int, int], shape: tu
 
 
 class _Windows:
-    """Heights of the finer samples; windows of some tiles are read together, and the last one is kept.
+    """Heights of the finer samples, read by windows of WINDOW x WINDOW tiles, of which the last one is cached.
 
     Attributes:
-        figures: those of the window that was read last (tile_records.FIGURES).
+        figures: those of the window that was read last (FIGURES): largest height and rounding by float32, metres, and
+            largest errors of positions and vertical datums, in the unit of the files' values.
     """
 
     def __init__(self, source: FinerSource, reader: HeightReader, last: tuple[int, int]):
         """Prepare the reading. last: column and row of the last finer sample."""
         self._source, self._reader, self._last = source, reader, last
-        self._kept: dict[tuple[int, int], np.ndarray] = {}
+        self._kept: dict[tuple[int, int], np.ndarray] = {}  # heights by column and row of the window, at most one
         self.figures: dict[str, float] = {}
 
     def heights(self, box: TileBox) -> np.ndarray:
         """Return the heights of a tile's samples, float32 metres, row 0 south; NaN where no file has any."""
-        wide = WINDOW * SIDE
+        wide = WINDOW * SIDE  # finer cells along a window
         key = box.x0 // wide, box.y0 // wide
         if key not in self._kept:
             x1, y1 = (min((n + 1) * wide, end) for n, end in zip(key, self._last, strict=True))
@@ -250,14 +267,15 @@ class _Windows:
 
     def add(self, figures: dict[str, float]) -> None:
         """Give the reader the figures of a window, as the largest height and error that were read."""
-        self._reader.add(figures | {"marks": [], "values": [math.inf, -math.inf]}, 0)
+        no_values: dict[str, list] = {"marks": [], "values": [math.inf, -math.inf]}  # figures of a window lack these
+        self._reader.add(figures | no_values, missing=0)
 
     def _in_file(self, x0: int, y0: int, x1: int, y1: int) -> tuple[int, int, int, int]:
         """Return first row, rows, first column and columns of finer samples, whose rows are counted from the north."""
         return self._last[1] - y1, y1 - y0 + 1, x0, x1 - x0 + 1
 
     def _read(self, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
-        """Read finer samples x0 .. x1 and y0 .. y1 from the files. Return heights as `heights` does, row 0 south.
+        """Read finer samples x0 .. x1 and y0 .. y1 from the files. Return heights, float32 metres, row 0 south.
 
         `figures` then has those of this window, which the reader of the whole import gets, too.
         """
@@ -265,10 +283,10 @@ class _Windows:
         before = raster.moved, raster.shifted
         raster.moved = raster.shifted = 0.0  # the figures are of this window alone
         reader = HeightReader(raster, self._reader.settings)
-        heights = reader.heights(self._source.window(*self._in_file(x0, y0, x1, y1)))[::-1]
+        heights = reader.heights(self._source.window(*self._in_file(x0, y0, x1, y1)))[::-1]  # the file begins north
         self.figures = {name: reader.figures()[name] for name in FIGURES}
         raster.moved, raster.shifted = before
-        self.add(self.figures)
+        self.add(self.figures)  # to those of the whole import
         return heights
 
 

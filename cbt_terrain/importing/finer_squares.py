@@ -28,12 +28,14 @@ def square_bits(bits: int) -> int:
 
 
 def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -> FinerSource | None:
-    """Return the finer files of `raster` as finer tiles for a coarser raster of the same area; None without any.
+    """Return a source of finer tiles for a coarser raster of the same area; None for a mosaic without finer files.
 
-    `raster` has the finest step; a finer sample is the nearest of its samples. None also if a cell of the coarser
-    raster is larger than a finer tile.
+    `raster` has the finest step everywhere. A cell of the coarser raster becomes 2^bits x 2^bits finer cells, about as
+    dense as `raster`, and a finer sample is the nearest sample of `raster`. None also if a cell of the coarser raster
+    is larger than a finer tile.
 
     Args:
+        raster: the whole mosaic; its `finest` has the boxes of the finer files.
         counts: columns and rows of cells of the coarser raster.
         loaded: numbers of the squares to load.
     """
@@ -43,6 +45,7 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         return None
     finer_cells = [count << bits for count in counts]
     scale = np.array([cell / size for cell, size in zip(finer_cells, raster_cells, strict=True)])
+    # A box is first column, first row, last column and last row, here converted to finer cells.
     first_corners, last_corners = (raster.finest.boxes[:, part] * scale for part in (slice(0, 2), slice(2, 4)))
     boxes = np.concatenate([np.floor(first_corners), np.ceil(last_corners)], axis=1).astype(np.int64)
 
@@ -95,8 +98,8 @@ def squares_of(source: FinerSource, lattice: Lattice) -> set[int]:
 
 def is_in_squares(tile: tuple[int, int], source: FinerSource, lattice: Lattice) -> bool:
     """Return whether a finer tile (column, row) is in a square to be loaded; all are if the source names no squares."""
-    shift = source.bits + square_bits(source.bits)
-    column, row = (place * SIDE >> shift for place in tile)
+    shift = source.bits + square_bits(source.bits)  # log2 of the finer samples along a square
+    column, row = (place * SIDE >> shift for place in tile)  # of the square that holds the tile's first sample
     squares = source.squares
     return squares is None or row * TileGrid(lattice, square_bits(source.bits)).columns + column in squares
 
@@ -111,8 +114,8 @@ def finer_provenance(raster: Raster, lattice: Lattice, finest_m: float) -> dict:
     if source is None or raster.finest is None:
         return {}
     numbers = np.array(sorted(squares_of(source, lattice)), np.int64)
-    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if len(numbers) else []
-    # a step of the coarser files is 2^finest.bits of the finest steps
+    runs = np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1) if len(numbers) else []  # of successive numbers
+    # A cell of the raster has 2^bits of the finest steps a side, one of the coarser files 2^finest.bits.
     is_coarse = source.bits <= raster.finest.bits
     return {FINER: [finest_m, source.bits, is_coarse, [[int(run[0]), len(run)] for run in runs]]}
 
@@ -137,6 +140,7 @@ class FinerSquares(NamedTuple):
 
 def finer_squares(field: HeightField) -> FinerSquares | None:
     """Return the squares of a store; None for a store without any, and for damaged entries."""
+    # runs: squares that finer files meet, (first, count)
     try:
         finest_m, bits, is_coarse, runs = field.provenance[FINER]
         is_valid = (type(finest_m), type(bits), type(is_coarse)) == (float, int, bool) and finest_m > 0.0
@@ -152,4 +156,4 @@ def finer_squares(field: HeightField) -> FinerSquares | None:
     if marks != sorted(marks):
         return None
     there = frozenset(number for first, end in ends for number in range(first, end))
-    return FinerSquares(finest_m, bits, is_coarse, there, loaded & there)
+    return FinerSquares(finest_m, bits, is_coarse, there=there, loaded=loaded & there)

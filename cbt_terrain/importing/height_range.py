@@ -16,7 +16,10 @@ RELIEF = 0.25  # of the width: the range of an image's heights by default
 
 
 def is_image(source: str, raster: Raster) -> bool:
-    """Return whether values are grey levels: an 8 or 16-bit image that names no place, no scale and no unit."""
+    """Return whether values are grey levels: an 8 or 16-bit image that names no place, no scale and no unit.
+
+    A raster that was resampled (`original`) had a place.
+    """
     form = FORMATS.get(Path(source).suffix.lower())
     if source in LANDS or form is None or form.title not in IMAGES or raster.stored not in IMAGE_TYPES:
         return False
@@ -24,12 +27,12 @@ def is_image(source: str, raster: Raster) -> bool:
 
 
 def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tuple[ImportSettings, list[str]]:
-    """Return settings whose scale and offset give a raster its lowest and highest height, and a warning of a guess.
+    """Return settings whose scale and offset give a raster its lowest and highest height, and warnings about a guess.
 
     These heights are those of the settings. If only one is given, or none for an image (`is_image`), the lowest is 0
     and the highest RELIEF times `width_m`, metres from west to east, above it. Settings without these heights are
-    returned unchanged for any other raster, or with a scale or an offset; so are all if no sample is finite. All
-    samples are read to find the range. Raises TerrainError for heights in the wrong order and for infinite samples.
+    returned unchanged for any other raster, or with a scale or an offset. So are all settings if no sample is finite.
+    All samples are read to find the range. Raises TerrainError for heights in the wrong order and infinite samples.
     """
     low, high = settings.lowest, settings.highest
     is_chosen = low is not None or high is not None
@@ -50,13 +53,14 @@ def fit_heights(settings: ImportSettings, raster: Raster, width_m: float) -> tup
             f"{settings.source} holds infinite values, so it has no lowest and highest",
             fix="give the metres in a unit of its values instead",
         )
-    if raster.scale == 0.0:  # all heights are the file's offset
+    if raster.scale == 0.0:  # the file's own scale: all its heights are its offset, whatever the values are
         offset = low - raster.offset
         return dataclasses.replace(settings, height_scale=1.0, height_offset=offset, lowest=None, highest=None), []
     # values of the lowest and the highest height
     bottom, top = (min_value, max_value) if raster.scale > 0.0 else (max_value, min_value)
     scale = (high - low) / (top - bottom) if top != bottom else raster.scale
-    # The import applies the file's own scale and offset to the values first.
+    # A height is scale * (value - bottom) + low. The import computes it as (value * raster.scale + raster.offset) *
+    # height_scale + height_offset.
     offset = low - scale * (bottom + raster.offset / raster.scale)
     fitted = dataclasses.replace(
         settings, height_scale=scale / raster.scale, height_offset=offset, lowest=None, highest=None

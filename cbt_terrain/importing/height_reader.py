@@ -51,7 +51,7 @@ class HeightReader:
         self.missing += absent
         if absent < heights.size:
             self.largest = max(self.largest, cleaning.largest_of(heights))
-            # NaN differs from itself, and most values are exact
+            # Measure the rounding to float32 if any value differs besides the absent ones: NaN differs from itself.
             if not np.can_cast(values.dtype, np.float32) and np.count_nonzero(values != heights) > absent:
                 self.converted = max(self.converted, float(np.nanmax(np.abs(values - heights))))
         return heights
@@ -89,6 +89,7 @@ class HeightReader:
         if self.settings.source in LANDS:
             return 0.0
         scaling = scaling_of(raster, self.settings)
+        # Half the step between stored values; that of a float type grows with the height, so the largest one counts.
         step = half_step(tuple(rounding.scaled(*scaling) for rounding in raster.roundings), self.largest)
         # `moved` by resampled positions and `shifted` by conversions of datums are in the unit of the file's values.
         return step + self.converted + (raster.moved + raster.shifted) * abs(scaling[0])

@@ -70,7 +70,7 @@ def import_source(
         on_preview: is called with the report on several files before the long work.
         part: the part to do of the import, for a farm; an import without one then does the rest.
 
-    Raises TerrainError. The store is then as it was before.
+    Raises TerrainError, and leaves the store as it was before.
     """
     settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
     return wait_for(lambda: ImportJob(settings, store, part), on_progress, on_preview)

@@ -20,13 +20,13 @@ from .tile_tasks import TileSource
 def report_of(field: HeightField, source: TileSource, check: ValueCheck) -> dict:
     """Return an import's report: format, sizes, and the warnings of raster, georeference, rounding and values.
 
-    check: has got all values of the source.
+    check: statistics of all values of the source, which show implausible ones.
     """
     raster, place = source.raster, source.place
     warnings = [*raster.warnings, *place.warnings, *place.size_warnings]
     largest = max(abs(field.min_height), abs(field.max_height))
     warnings += rounding_warnings(raster.roundings, largest, field.source_max)
-    against = ""  # bounds hold against the file's raster
+    against = ""  # with what the mesh's bounds are compared; "": the raster of the file itself
     if raster.projected_from:
         against = f"the raster as reprojected from {raster.projected_from} to {place.crs or 'a straight one'}, bilinear"
     report = {
@@ -86,8 +86,9 @@ def describe(path: str | os.PathLike) -> dict:
     content = store.read_json(Path(path))
     field = store.open_store(path)
     num_bytes = sum(array.nbytes for array in (field.samples, field.error, field.ranges))
-    # A parent's error is at least its children's, so the coarsest group holds the largest.
-    group = field.lattice.group(1)
+    # Errors are stored as codes, by groups of depths of the bisection; `table` has the metres of each group's codes. A
+    # parent's error is at least its children's, so the coarsest group, that of depth 1, holds the largest.
+    group = field.lattice.group(depth=1)
     error_codes = field.error[codes.parts(field.lattice, len(field.error))[group]]
     return {
         "path": str(path),
@@ -103,7 +104,7 @@ def describe(path: str | os.PathLike) -> dict:
 
 def _border(field: HeightField) -> dict:
     """Return the entry with the coordinates of the outermost samples, {} without a system or for a rotated raster."""
-    place = field.raster.place
+    place = field.raster.place  # (a, b, c, d, e, f): x = a u + b v + c and y = d u + e v + f; b and d by a rotation
     if place is None or not field.crs or place[1] or place[3]:
         return {}
     west, south, east, north = field.lattice.rectangle()

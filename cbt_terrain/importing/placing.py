@@ -54,7 +54,7 @@ class Placing(NamedTuple):
 def is_placed(field: HeightField, store: str | os.PathLike) -> bool:
     """Return whether the origin and the steps of a store's field are those of its coordinate system, named or not.
 
-    They are not if the user gave the extent, or if the terrain is rotated or may be.
+    They are not if the user gave the extent, or if the terrain is rotated, be it by an unknown angle.
     """
     sized = field.provenance.get("settings", {}).get("extent") is not None
     return not sized and rotation_of(store) == 0.0
@@ -89,15 +89,19 @@ def placing_of(store: str | os.PathLike) -> Placing:
     if not field.crs or not is_placed(field, store):
         return Placing()
     request, what = {"store": str(store.absolute())}, f"the coordinate system of the store {store}"
-    unit_x, unit_y, period = ask(MODULE, request, what)
+    unit_x, unit_y, period = ask(MODULE, request, what)  # metres in a unit along x and y; units in 360 degrees or 0
     return Placing(float(field.origin[0]), float(field.origin[1]), unit_x, unit_y, field.crs, period)
 
 
 def placing_or_middle(field: HeightField) -> Placing:
-    """Return the position of a field's space, whose origin is its anchor; metres from the middle if it has none."""
+    """Return the position of a field's space; metres from the raster's middle if the field has no coordinates.
+
+    The origin of the space is the field's anchor, which is the raster's middle or a point elsewhere in it.
+    """
     if field.path is None or not is_placed(field, field.path):
         return Placing(field.lattice.anchor_x, field.lattice.anchor_y)
-    placing = placing_of(field.path) if field.crs else Placing()  # of the store, which has no anchor
+    # The store's own position is that of the raster's middle, and field.origin that of the field's anchor.
+    placing = placing_of(field.path) if field.crs else Placing()
     return placing._replace(x=float(field.origin[0]), y=float(field.origin[1]))
 
 
@@ -119,6 +123,7 @@ def child_main() -> None:
         """Return the units of a store, or a point in another system."""
         return _reprojected(*request["point"], *request["systems"]) if "point" in request else _units(request["store"])
 
+    # The second argument names the work in errors.
     serve(answer, lambda request: f"Reading {request.get('store', 'the coordinate systems')}")
 
 

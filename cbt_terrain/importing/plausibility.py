@@ -54,13 +54,14 @@ class ValueCheck:
 
         There are at most MAX_WARNINGS, and none without other values.
         """
+        # marks: values that often mean no data, and how many samples have them. low, high: range of all other values.
         spread = self.high - self.low
         if not spread >= 0.0:  # all values are marks
             return []
         warnings = []
         for value, count in self.marks.items():
             gap = max(self.low - value, value - self.high)
-            is_sea = value == 0.0 and spread == 0.0  # all land has one height
+            is_sea = value == 0.0 and spread == 0.0  # the sea around land of one height
             if is_sea or gap < (APART if value else ZERO_APART) * spread or gap <= 0.0:
                 continue
             samples = f"{count:,} samples hold" if count > 1 else "1 sample holds"

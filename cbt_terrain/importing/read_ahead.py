@@ -43,7 +43,7 @@ def write_ahead(store: Path, grid: TileGrid, number: int, record: dict, heights:
     assert record_of(line.encode()[:-1], grid) is not None, "it can be read again"
     file = _file_of(store, number)
     try:
-        with owned_files.open_folder(file.parent, make=True):
+        with owned_files.open_folder(file.parent, make=True):  # only makes the folder
             pass
         with partial_files.written_beside(file) as partial:
             partial.write_bytes(line.encode() + content)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second step of a quick import: the tiles that views need are loaded in more detail.
 
-Each cell of the first picture becomes FACTOR x FACTOR cells, or those of the raster if they are larger. The chosen
-tiles get true samples of the source, as the first picture has; all others keep its surface (tiling/coarse_land.py). The
-store keeps the first picture inside, so that further tiles can be loaded; tiles that it has are not made again.
+The first step, the first picture, is a store with every n-th sample of the raster (thinning.py). Each of its cells
+becomes FACTOR x FACTOR cells, but none finer than the raster's. The chosen tiles get true samples of the source, as the
+first picture has; all others keep its surface (tiling/coarse_land.py). The store keeps the first picture inside, so
+that further tiles can be loaded; tiles that it has are not made again.
 """
 
 from collections.abc import Iterable
@@ -36,7 +37,7 @@ def first_picture(store: Path) -> Path:
     """
     folder = named_folder(store)
     inner = None if folder is None else folder / FIRST
-    return inner if inner is not None and changed_ns(inner) else store
+    return inner if inner is not None and changed_ns(inner) else store  # changed_ns: 0 without a store there
 
 
 def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
@@ -48,14 +49,15 @@ def coarse_land(settings: ImportSettings, picture: Path) -> CoarseLand:
     full = _full_size(field)
     if full is None:
         raise TerrainError(f"The store {picture} has no first picture", fix="import quickly first")
-    return CoarseLand(field, read_json(picture)["digest"], _loaded_bits(field, full), frozenset(settings.loaded_tiles))
+    bits = _loaded_bits(field, full)  # log2 of a loaded tile's cells along a cell of the picture
+    return CoarseLand(field, read_json(picture)["digest"], bits, loaded=frozenset(settings.loaded_tiles))
 
 
 def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raster:
     """Return a raster on the grid of a quick import with 2^land.bits cells along each cell, to load single tiles.
 
     Its samples are those of `raster` that are nearest to the grid's positions. It reads `raster` on demand, and closes
-    it. land: the quick import.
+    it. Its `squares` has the finer files of a mosaic, of which the settings choose some parts. land: the quick import.
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     counts = [(len(positions(count, stride)) - 1) << land.bits for count in (raster.width, raster.height)]
@@ -71,7 +73,8 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         left, num_columns = int(wanted_columns[0]), int(wanted_columns[-1] - wanted_columns[0]) + 1
         if raster.window is None:  # whole rows are read
             left, num_columns = 0, raster.width
-        bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // num_columns)  # rows that are read together
+        # Read the rows in bands of at most MAX_READ samples; bands: number of the band of each row.
+        bands = (wanted_rows - wanted_rows[0]) // max(1, MAX_READ // num_columns)
         parts, raster.moved = [], 0.0
         for band in np.split(wanted_rows, np.flatnonzero(np.diff(bands)) + 1):
             top, num_rows = int(band[0]), int(band[-1] - band[0]) + 1
@@ -98,7 +101,7 @@ def refined(raster: Raster, settings: ImportSettings, land: CoarseLand) -> Raste
         full_size=(raster.width, raster.height),
         squares=finer_source(raster, counts, settings.loaded_finer),
     )
-    if fine.squares is not None and fine.squares.squares:
+    if fine.squares is not None and fine.squares.squares:  # some squares are chosen
         fine.finer = fine.squares
     return fine
 
@@ -121,7 +124,7 @@ def loaded_tiles(provenance: dict) -> frozenset[int]:
 def with_loaded(
     settings: ImportSettings, store: Path, tiles: Iterable[int] = (), squares: Iterable[int] = ()
 ) -> ImportSettings:
-    """Return settings that load further tiles and squares beside those that a store has. Raises TerrainError."""
+    """Return settings that load further tiles and squares in addition to those of a store. Raises TerrainError."""
     field = open_store(store)
     before = finer_squares(field)
     numbers = loaded_tiles(field.provenance).union(tiles), (before.loaded if before else frozenset()).union(squares)
@@ -133,16 +136,16 @@ def loaded_at(field: HeightField, x: float, y: float) -> float | None:
 
     x, y: metres from the raster's middle; beyond its border the nearest tile counts.
     """
-    # the first of `steps` and of `tiles` is the step to which the first picture and the tiles are loaded
+    # steps: metres of the first picture, and of all samples. tiles: metres of the loaded tiles, and their number.
     steps, tiles, squares = loaded_m(field.provenance), refined_m(field.provenance), finer_squares(field)
-    if steps is None or tiles is None:  # a store without loaded tiles has one step
+    if steps is None or tiles is None:  # a complete store, or a first picture alone, which has one step
         return steps and steps[0]
     (west, south, _, _), lattice = field.lattice.rectangle(), field.lattice
     grid = TileGrid(lattice, BITS)
     positions = ((x - west) / lattice.step_x, lattice.cells_x), ((y - south) / lattice.step_y, lattice.cells_y)
     cell_x, cell_y = (int(min(max(cell, 0), cells - 1)) for cell, cells in positions)
     if squares is not None:
-        shift = square_bits(squares.bits)
+        shift = square_bits(squares.bits)  # log2 of the cells along a square
         if (cell_y >> shift) * TileGrid(lattice, shift).columns + (cell_x >> shift) in squares.loaded:
             return squares.finest_m
     column, row = cell_x >> BITS, cell_y >> BITS
@@ -171,6 +174,7 @@ def picture_side(picture: HeightField) -> int:
 
 def _full_size(field: HeightField) -> tuple[int, int] | None:
     """Return columns and rows of the source of a first picture; None for any other field or damaged entries."""
+    # loaded_m: steps of an incomplete store; with REFINED it has loaded tiles, so it is no first picture any more.
     if field.path is None or loaded_m(field.provenance) is None or REFINED in field.provenance:
         return None
     full = read_json(field.path)["report"].get("full_raster")
@@ -181,8 +185,8 @@ def _full_size(field: HeightField) -> tuple[int, int] | None:
 
 
 def _loaded_bits(field: HeightField, full: tuple[int, int]) -> int:
-    """Return log2 of the number of loaded cells along one cell of a quick import.
+    """Return log2 of the number of loaded cells along one cell of a quick import: FACTOR, or those of the raster.
 
-    full: columns and rows of the complete raster.
+    full: columns and rows of the complete raster. Both numbers are powers of two.
     """
     return min(FACTOR, stride_of(*full, field.provenance["settings"]["quick"])).bit_length() - 1

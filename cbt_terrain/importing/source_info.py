@@ -33,7 +33,10 @@ def describe_source(settings: ImportSettings) -> dict:
 
 
 def versions() -> dict:
-    """Return the versions of all libraries, and the rights that the process reading height maps drops here."""
+    """Return the versions of all libraries, and the rights that processes reading height maps drop on this system.
+
+    A child process adds the rights, and the versions of GDAL and PROJ.
+    """
     from ... import __version__
 
     installed = {
@@ -70,6 +73,7 @@ def describe_alone(settings: ImportSettings) -> dict:
     absent if the file does not place the raster. An archive is unpacked into the job's folder of temporary files.
     """
     source, scratch = Path(settings.source), Path(tempfile.gettempdir())
+    # May read the source alone, and write only what an archive holds, into the scratch folder.
     guard([source], scratch if is_archive(source) else None, settings.encoding)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:
@@ -91,5 +95,5 @@ def _gdal_versions() -> dict:
 
     with rasterio.Env() as env:
         drivers = sorted(all_drivers() & env.drivers().keys())
-    rights = guard([Path("any.vrt")], None)
+    rights = guard([Path("any.vrt")], None)  # no file is opened; the name only chooses GDAL
     return {"GDAL": _env.gdal_version(), "GDAL drivers": drivers, "reading height maps": rights}

@@ -31,7 +31,7 @@ def names_several(settings: ImportSettings) -> bool:
 
 
 def may_name_several(settings: ImportSettings) -> bool:
-    """Return whether an import may have several files: as of `names_several`, or tiles in its one archive.
+    """Return whether an import may have several files: it names several, or one .zip, which may hold several tiles.
 
     Nothing is opened. Only the import's child process looks into an archive.
     """
@@ -104,6 +104,7 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
             )
         return files
     if _is_pattern(source):
+        # The folder before the first wildcard must be readable, else nothing would seem to match.
         _check_right(Path(*itertools.takewhile(lambda part: not glob.has_magic(part), Path(source).parts)))
         names = sorted(glob.glob(whole, recursive=True))
         files = [Path(name) for name in names if os.path.isfile(name) and suffix_of(name) in FORMATS]
@@ -148,7 +149,7 @@ def _web_tiles(folder: Path, step: float | None) -> list[Path]:
     The level is the coarsest one with pixels of at most `step` metres (of web mercator), or else the finest one.
     Without such tiles the list is empty.
     """
-    levels: dict[int, list[tuple]] = {}
+    levels: dict[int, list[tuple]] = {}  # by zoom level z: (z, x, y, path) of each tile
     for pattern in ("[0-9]*/[0-9]*/[0-9]*", "[0-9]*/[0-9]*"):
         for path in folder.glob(pattern):
             place = tile_of(path) if path.suffix.lower() in WEB_SUFFIXES and os.path.isfile(path) else None
@@ -156,6 +157,7 @@ def _web_tiles(folder: Path, step: float | None) -> list[Path]:
                 levels.setdefault(place[0], []).append((*place, path))
         if levels:
             break
+    # A tile of level `zoom` has 256 pixels a side, and 2^zoom of them span the world.
     fine_enough = [zoom for zoom in levels if step is not None and 2.0 * HALF_WORLD / (256 << zoom) <= step]
     chosen = min(fine_enough, default=max(levels, default=0))
     return [path for *_, path in sorted(levels.get(chosen, ()))]

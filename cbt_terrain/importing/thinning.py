@@ -46,24 +46,26 @@ def positions(count: int, stride: int) -> np.ndarray:
 
 
 def spread(count: int, cells: int) -> np.ndarray:
-    """Return the ones of `count` columns or rows that are nearest to the corners of `cells` equal cells, int64."""
+    """Return, of `count` columns or rows, those nearest to the corners of `cells` equal cells along them: int64."""
     return (2 * np.arange(cells + 1) * (count - 1) + cells) // (2 * cells)  # a rounded quotient
 
 
 def thinned(raster: Raster, settings: ImportSettings) -> Raster:
     """Return a raster of at most `settings.quick` samples of another, or that raster if it needs no quick import.
 
-    It reads the other one, or an overview of its file, and closes both.
+    It reads rows of the other one, or of an overview of its file, and closes both. A raster with a function `pick`,
+    such as a mosaic, reads single samples instead of rows.
     """
     stride = stride_of(raster.width, raster.height, settings.quick)
     if stride == 1:
         return raster
     columns, rows = positions(raster.width, stride), positions(raster.height, stride)
-    is_long = raster.width * raster.height > MAX_UNPACKED
+    is_long = raster.width * raster.height > MAX_UNPACKED  # to unpack
     small = raster.overview(stride // FINER) if is_long else None
     if small is not None:
         raster.details.update(FROM_OVERVIEWS)
     source = small or raster
+    # the columns and rows of the source in which the wanted samples are
     wanted_columns = scaled(columns, raster.width, source.width)
     wanted_rows = scaled(rows, raster.height, source.height)
 
@@ -72,10 +74,10 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
         if raster.pick is None:
             wanted = wanted_rows[first : first + count]
             values = np.concatenate([source.read(int(row), 1)[:, wanted_columns] for row in wanted])
-            coarse.moved = max(coarse.moved, source.moved)  # of a reprojected raster
+            coarse.moved = max(coarse.moved, source.moved)  # largest error of positions by reprojection
             return values
         values = raster.pick(rows[first : first + count], columns)
-        coarse.shifted = raster.shifted  # the error of datums, which `pick` has set
+        coarse.shifted = raster.shifted  # largest error of the shift between vertical datums, which `pick` has set
         return values
 
     def close() -> None:
@@ -106,8 +108,11 @@ def thinned(raster: Raster, settings: ImportSettings) -> Raster:
 
 
 def scaled(samples: np.ndarray, count: int, coarse_count: int) -> np.ndarray:
-    """Return the columns or rows of an overview that hold samples of the raster: `coarse_count` for its `count`."""
-    return (2 * samples + 1) * coarse_count // (2 * count)
+    """Return the columns (or rows) of an overview in which columns `samples` of its raster are.
+
+    count: columns of the raster. coarse_count: columns of the overview.
+    """
+    return (2 * samples + 1) * coarse_count // (2 * count)  # (sample + 1/2) * coarse_count / count, rounded down
 
 
 def loaded_steps(raster: Raster, place: Georeference) -> list[float]:
@@ -135,7 +140,10 @@ def loaded_entries(raster: Raster, provenance: dict) -> dict:
 
 
 def loaded_m(provenance: dict) -> tuple[float, float] | None:
-    """Return the steps of `loaded_steps` from a store's provenance; None for a complete store or damaged entries."""
+    """Return metres between the samples of an incomplete store, and between all samples of its source.
+
+    None for a complete store or damaged entries. provenance: the store's record of its origin.
+    """
     steps = provenance.get(LOADED)
     if not isinstance(steps, list) or [type(step) for step in steps] != [float, float]:
         return None

@@ -171,7 +171,7 @@ def _send(process: subprocess.Popen, content: dict) -> None:
 
 
 def idle_main(line: bytes) -> None:
-    """Do the tasks of an import of one file in an idle process. line: settings and folder as JSON, from `_send`."""
+    """Do the tasks of an import of one file in an idle process. line: settings and folder of the import as JSON."""
     serve_tasks(line, guard_import, lambda settings, _folder: open_source(settings))
 
 
@@ -183,12 +183,12 @@ def serve_tasks(
     """Do tasks from stdin until it ends, and answer on stdout; the module's docstring has the messages.
 
     Args:
-        line: the settings and the folder of the import, from `_send`.
+        line: the settings and the folder of the import as JSON.
         guard: guard(settings, store) drops the rights of this process.
         open_raster: open_raster(settings, folder) opens the source.
     """
     channel = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # libraries print to stderr
+    os.dup2(2, 1)  # what libraries print to stdout goes to stderr, so that it is not among the answers
     request, source = json.loads(line), None
     settings, folder = ImportSettings(**request["settings"]), Path(request["folder"])
     guard(settings, folder.parent)
@@ -209,7 +209,7 @@ def serve_tasks(
                     raster = open_raster(settings, folder)
                     raster = raster if coarse is None else refined(raster, settings, coarse)
                     source = TileSource(raster, settings, place_of(settings, raster), coarse)
-                answer["done"] = perform(work, source, task, 1, coarse)
+                answer["done"] = perform(work, source, task, threads=1, coarse=coarse)
             except TerrainError as error:
                 answer["error"] = error.to_json()
             except OSError as reason:

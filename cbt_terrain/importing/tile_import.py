@@ -4,6 +4,10 @@
 Steps: the samples are read in units (tiles of a mosaic, rows of any other raster), missing ones are filled, the tiles
 are measured, and their borders are joined. A unit or a tile that was finished before is not made again: after a killed
 import, and if only a part of the sources has changed.
+
+A TileWork is the folder of the arrays, with the records of finished units and tiles; a draft makes that folder the
+store's content at the end. On a farm other computers leave their results in part files (part_files.py) in that folder.
+A TileSource is the opened raster with its settings and position, and a quick import around which tiles are loaded.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -42,7 +46,7 @@ MEASURING = "Measuring errors"
 PARTS = BEGIN, READ_TILES, FILL, MEASURE = "begin", "read", "fill", "measure"
 TILED_PARTS = READ_TILES, MEASURE  # of some tiles each
 CHECKED_ROWS = 256
-READ_SHARE, FILLED_SHARE, MEASURED_SHARE, JOINED_SHARE = 0.2, 0.25, 0.85, 0.97  # of the progress at the end of a step
+READ_END, FILLED_END, MEASURED_END, JOINED_END = 0.2, 0.25, 0.85, 0.97  # progress at the end of each step
 
 
 class ImportPart(NamedTuple):
@@ -76,12 +80,14 @@ class Crew:
 
 
 def do_part(part: ImportPart, wanted: TileWork, source: TileSource) -> dict:
-    """Do a part of an import, and return a report. Raises TerrainError.
+    """Do a part of an import, for several computers that share it, and return a report. Raises TerrainError.
 
-    No other part may run beside BEGIN or FILL; several computers may read, or measure, different tiles at a time. Each
-    tile then has a separate file, which FILL, or the rest of the import, writes into the arrays. The report has the
-    number of "tiles"; to read or to measure, also how many of them were requested: "done". wanted: description of the
-    work.
+    BEGIN makes the arrays. Then several computers may read different units (READ_TILES) at the same time, each into a
+    part file. FILL writes these into the arrays and fills missing samples. Then tiles may be measured (MEASURE) as they
+    were read; the rest of the import writes the results into the arrays. While BEGIN or FILL runs, no other part may.
+
+    The report has the number of "tiles", and with numbers of tiles also how many of these exist, as "done". wanted: the
+    work from its beginning, by which its folder is found.
     """
     numbers, path, crew = part.numbers, wanted.folder.parent, Crew()
     if part.step in (BEGIN, FILL):
@@ -89,9 +95,9 @@ def do_part(part: ImportPart, wanted: TileWork, source: TileSource) -> dict:
             if part.step == FILL and work is None:
                 raise _not_begun(path)
             work = start_work(work, draft, wanted, source)
-            work.describe()  # also a single tile, which has no description otherwise
+            work.describe()  # writes the file by which other computers find the work; a single tile has none otherwise
             if part.step == FILL:
-                while not _read_all(work, source, crew, lambda _share: None):
+                while not _read_all(work, source, crew, lambda _fraction: None):
                     work.start_again(draft)  # with heights as floats
                 part_files.remove_parts(work.folder, READ)
                 limits = tile_steps.limits_of(work)
@@ -112,22 +118,23 @@ def do_part(part: ImportPart, wanted: TileWork, source: TileSource) -> dict:
 
 
 def read_ahead(part: ImportPart, work: TileWork, source: TileSource, on_progress: Callable[[float, str], None]) -> dict:
-    """Read tiles of coarse land ahead of the import that loads them, and return a report. Raises TerrainError.
+    """Read the tiles that a later import loads around a first picture, each into its own file, and return a report.
 
     Tiles that were read before are not read again, so a killed process loses one. Without any tile the sources are
     only checked, and the store keeps the catalogue of a mosaic for processes that read. The report has the number of
-    the import's "tiles" and how many of the requested ones are "done". work: of that import, which is not begun.
+    the import's "tiles" and how many of the requested ones are "done". work: of that import, which is not begun. Raises
+    TerrainError.
     """
     if part.step != READ_TILES:
         raise TerrainError(f"No part {part.step!r} of tiles in view can be done", expected=repr(READ_TILES))
     path = work.folder.parent
     folder = store_folder.named_folder(path)
     numbers = [number for number in _chosen(len(work.grid), part.numbers) if is_loaded(source, number)]
-    if not numbers and folder is not None:
+    if not numbers and folder is not None:  # keeps the catalogue
         source.raster.finish(folder)
     for done, number in enumerate(numbers):
         on_progress(done / len(numbers), READING)
-        inputs = _inputs(work, source, number)
+        inputs = _inputs(work, source, number)  # digest of all that determines the tile's samples
         if find_ahead(path, work.grid, number, inputs) is None:
             read_tile_ahead(work.grid, source, number, inputs, path)
     return {"tiles": len(work.grid), "done": len(numbers)}
@@ -160,30 +167,33 @@ def build_by_tile(
         on_progress: gets 0 to 0.99 and a message.
     """
     work = start_work(work, draft, wanted, source)
-    while not _read_all(work, source, crew, lambda share: on_progress(READ_SHARE * share, READING)):
+    while not _read_all(work, source, crew, lambda fraction: on_progress(READ_END * fraction, READING)):
         work.start_again(draft)  # with heights as floats
+    # The arrays have all heights now. Collect their figures, and fill missing samples.
     part_files.remove_parts(work.folder, READ)
     for record in work.records(READ).values():
         reader.add(record["figures"], record["missing"])
     limits = tile_steps.limits_of(work)  # of all heights, with the number of missing samples
     _check_ground(work, limits, source.settings.name)
     if limits.missing:
-        on_progress(READ_SHARE, MEASURING)
+        on_progress(READ_END, MEASURING)
         tile_steps.fill(work, launch.default_threads())
-    span = MEASURED_SHARE - FILLED_SHARE
+    # Measure the tiles, except those whose results other computers have left in part files.
+    span = MEASURED_END - FILLED_END  # fraction of the import that measuring takes
     tile_steps.write_parts(work)
-    _measure_tiles(work, source, limits, crew, lambda share: on_progress(FILLED_SHARE + span * share, MEASURING))
+    _measure_tiles(work, source, limits, crew, lambda fraction: on_progress(FILLED_END + span * fraction, MEASURING))
     part_files.remove_parts(work.folder, MEASURED)
     return _completed(work, draft, limits, reader.source_max(), on_progress, source)
 
 
 def _read_all(work: TileWork, source: TileSource, crew: Crew, on_progress: Callable[[float], None]) -> bool:
-    """Read the units (tiles, or rows of the file) that have changed. Other computers may have read some into files.
+    """Read the units (tiles, or rows of the file) that have changed, into the work's arrays.
 
-    Return False, before the rest is read, if heights have to be stored as floats. Raises TerrainError, and gives the
-    work up, if a unit then has no record. crew: processes that read.
+    Return False, before the rest is read, if heights have to be stored as floats. If a unit then has no record, the
+    work is marked as damaged, and TerrainError is raised. crew: processes that read.
     """
     count = unit_count(work.grid, source)
+    # First take the units that other computers have read into part files.
     if not write_read_parts(work, lambda number: _inputs(work, source, number), count):
         return False
     tasks = _tasks_to_read(work, source)
@@ -229,7 +239,7 @@ def _check_ground(work: TileWork, limits: tile_steps.TerrainLimits, name: str) -
     if limits.missing == lattice.width * lattice.height:
         raise no_heights(name)
     if limits.missing and work.holes:  # missing samples are cut out
-        rows = range(0, lattice.cells_y, CHECKED_ROWS)
+        rows = range(0, lattice.cells_y, CHECKED_ROWS)  # of cells, which have one more row of samples
         if not any(holes_leave_ground(work.open("missing")[row : row + CHECKED_ROWS + 1] == 0) for row in rows):
             raise no_ground(name)
 
@@ -255,10 +265,13 @@ def _measure_tiles(
 def _tasks_to_measure(
     work: TileWork, limits: tile_steps.TerrainLimits, numbers: Collection[int] | None = None
 ) -> list[TileTask]:
-    """Return the tasks to measure tiles. numbers: those of the tiles, None for all."""
+    """Return the tasks to measure tiles. numbers: those of the tiles, None for all.
+
+    A task has the last complete record of its tile, so that nothing is written if the tile has not changed.
+    """
     before = {number: record for number, record in work.records(MEASURED).items() if "errors" in record}
     chosen = _chosen(len(work.grid), numbers)
-    return [TileTask(MEASURED, number, "", tuple(limits), before.get(number)) for number in chosen]
+    return [TileTask(MEASURED, number, limits=tuple(limits), before=before.get(number)) for number in chosen]
 
 
 def _give_up(work: TileWork) -> TerrainError:
@@ -284,32 +297,34 @@ def _completed(
     """Join the measured tiles into the draft, and return the height field.
 
     The work can be continued until the draft is published. source_max: largest error of the source's heights, metres.
-    limits: of all heights.
+    limits: lowest and highest height, and the number of missing samples.
     """
-    lattice, span = work.grid.lattice, JOINED_SHARE - MEASURED_SHARE
+    lattice, span = work.grid.lattice, JOINED_END - MEASURED_END  # span: fraction of the import that joining takes
 
-    def tell(share: float) -> None:
+    def tell(fraction: float) -> None:
         """Report a fraction of the joining of tiles as one of the whole import."""
-        on_progress(MEASURED_SHARE + span * share, MEASURING)
+        on_progress(MEASURED_END + span * fraction, MEASURING)
 
     joined = tile_steps.join(work, limits, launch.default_threads(), tell, source.coarse)
-    valid = None
+    # If missing samples are cut out, the field has marks of the others.
+    valid = None  # 1 where a sample exists, as opposed to "missing"
     if limits.missing and work.holes:
         valid = work.allocate(draft, "valid", (lattice.height, lattice.width), np.dtype(np.uint8))
         for row in range(0, lattice.height, CHECKED_ROWS):
             valid[row : row + CHECKED_ROWS] = work.open("missing")[row : row + CHECKED_ROWS] ^ 1
-    if not work.is_described:
+    # Keep the records of the tiles and their borders in the store, for the next import.
+    if not work.is_described:  # a single tile, too short to be used again
         work.remove_records()
         draft.remove("borders")
-    elif source.raster.finer is None:
+    elif source.raster.finer is None:  # else `add_finer_tiles` keeps them, with its own
         work.keep_records()
     key = content_key(StoredHeights(work), lattice, source_max, valid)
     on_progress(0.99, MEASURING)
-    base, step = limits.scale
+    base, step = limits.scale  # metres: the ranges of heights are stored as base + number * step
     return HeightField(
         HeightRaster(work.open("samples"), lattice, key, steps=work.steps, filled=limits.missing, valid=valid),
         error=work.open("error"),
-        exponents=joined.exponents,
+        exponents=joined.exponents,  # by group of depths: the power of two that scales the codes of errors
         ranges=work.open("ranges"),
         range_base=base,
         range_step=step,

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tasks of an import by tile: a unit of the source to read, or a tile to measure."""
+"""Tasks of an import by tile: a unit of the source to read, or a tile to measure.
+
+A unit is what one task reads: a tile of a mosaic, or else a group of rows of the file. A tile owns its samples without
+those that its eastern and northern neighbours have too. In the order of the terrain row 0 is in the south and column 0
+in the west; a file may have another order. Coarse land is a quick import, around which single tiles are loaded.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -19,7 +24,9 @@ from .height_reader import HeightReader
 from .read_ahead import find_ahead, write_ahead
 
 STRIP_ROWS = 512  # of a tile that are read together, to save memory
-READ_ENTRIES = "inputs", "missing", "limits", "figures"  # of the record of a unit
+# Of the record of a unit: digest of its sources, number of missing samples, lowest and highest height, and the figures
+# that the reader found for the import's report.
+READ_ENTRIES = "inputs", "missing", "limits", "figures"
 
 
 class TileTask(NamedTuple):
@@ -57,10 +64,11 @@ class TileSource(NamedTuple):
 def perform(
     work: TileWork, source: TileSource | None, task: TileTask, threads: int, coarse: CoarseLand | None = None
 ) -> bool:
-    """Do one task of an import, to read a unit or to measure a tile, and write its record.
+    """Do one task of an import, to read a unit or to measure a tile, in the arrays of `work`, and write its record.
 
     Return False if its heights have to be stored as floats. source: None is enough to measure. coarse: the quick import
-    around loaded tiles, None without. Raises TerrainError, and OSError of the arrays.
+    whose heights all other tiles keep, if single tiles are loaded; else None. Raises TerrainError, and OSError of the
+    arrays.
     """
     if task.step == MEASURED:
         terrain = task.terrain()
@@ -69,25 +77,26 @@ def perform(
     assert source is not None, "only the measuring of a tile needs none"
     if is_loaded(source, task.number):
         ahead = find_ahead(work.folder.parent, work.grid, task.number, task.inputs)
-        if ahead is not None:
+        if ahead is not None:  # another computer has read it into a file
             box = work.grid.owned(work.grid.box(task.number))
             work.write_heights(box.x0, box.y0, ahead.heights)
             work.note(READ, task.number, **{name: ahead.record[name] for name in READ_ENTRIES})
             return True
-    reader, limits = _unit_reader(source), list[float]()
+    reader, limits = _unit_reader(source), list[float]()  # limits: lowest and highest height of each part
     for box, heights in _read_heights(work.grid, source, task.number, reader):
         try:
             limits += work.write_heights(box.x0, box.y0, heights)
-        except NotNumberedError:
+        except NotNumberedError:  # the arrays store numbers of steps, and a height is no multiple of the step
             return False
     work.note(READ, task.number, **_read_record(task.inputs, reader, limits))
     return True
 
 
 def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str, store: Path) -> None:
-    """Write the heights of a loaded tile into a file of the store, for a later import. Raises TerrainError.
+    """Read a tile that is to be loaded around a quick import, and write its heights into a file of the store.
 
-    number: of the tile. inputs: digest of the sources.
+    A later import takes them from there instead of the source. The file also has the READ_ENTRIES of the tile. number:
+    of the tile. inputs: digest of the sources. Raises TerrainError.
     """
     reader, whole = _unit_reader(source), grid.owned(grid.box(number))
     tile_heights = np.empty(whole.shape, np.float32)
@@ -97,20 +106,22 @@ def read_tile_ahead(grid: TileGrid, source: TileSource, number: int, inputs: str
 
 
 def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: int) -> None:
-    """Do one task and write its result into a part file, which a step of one process joins to the others.
+    """Do one task and write its result into a part file; a later step copies these files into the work's arrays.
 
-    A task whose file is there is not done again, unless the file is of other sources. Raises OSError and TerrainError.
+    So several computers never write to one file. A task whose file is there is not done again, unless the file is of
+    other sources. Raises OSError and TerrainError.
     """
     folder, number = work.folder, task.number
     done = part_files.find_record(folder, work.grid, task.step, number)
     if task.step == MEASURED:
         limits = task.terrain()
+        # `measured` returns what differs from a record: that of the part file, then that of the work's arrays.
         if done is not None and tile_steps.measured(work, number, limits, threads, done) is None:
-            return  # nothing has changed since the part file
+            return
         changes = tile_steps.measured(work, number, limits, threads, task.before)
         if changes is not None:
             with part_files.writing_part(folder, MEASURED, number) as writer:
-                for name in ("codes", "border", "ranges"):
+                for name in ("codes", "border", "ranges"):  # of its errors, of its border, and of heights
                     if getattr(changes, name) is not None:
                         writer.add(name, (0, 0), getattr(changes, name))
                 writer.record = changes.record
@@ -126,10 +137,10 @@ def perform_apart(work: TileWork, source: TileSource, task: TileTask, threads: i
 
 
 def write_read_parts(work: TileWork, inputs_of: Callable[[int], str], count: int) -> bool:
-    """Write units that other processes have read into the arrays of a work; damaged ones and those of others are left.
+    """Copy units that other processes have read from their part files into the arrays of `work`.
 
-    Return False, before the rest is written, if heights have to be stored as floats. inputs_of: returns the digest of
-    the sources of a unit. count: number of units.
+    Damaged files and those of other sources are skipped. Return False, before the rest is written, if heights have to
+    be stored as floats. inputs_of: returns the digest of the sources of a unit. count: number of units.
     """
     before, lattice = work.records(READ), work.grid.lattice
     for number in part_files.numbers_of(work.folder, READ):
@@ -191,7 +202,7 @@ def _read_heights(
         return
     for box, values in _pieces(grid, source, number):
         heights = np.empty(box.shape, np.float32)
-        source.place.in_file_order(heights)[:] = reader.heights(values)
+        source.place.in_file_order(heights)[:] = reader.heights(values)  # a view, turned and mirrored as the file is
         yield box, heights
 
 
@@ -247,6 +258,7 @@ def in_file(lattice: Lattice, place: Georeference, box: TileBox) -> tuple[int, i
 
 def _in_terrain(lattice: Lattice, place: Georeference, first: int, rows: int) -> TileBox:
     """Return the box in the terrain of `rows` rows of the file from row `first` on."""
+    # Rows of the file are columns of the terrain if it is transposed; `backwards`: they count from the last one.
     backwards = place.first_column_east if place.transposed else not place.first_row_south
     last = lattice.cells_x if place.transposed else lattice.cells_y
     low, high = (last - first - rows + 1, last - first) if backwards else (first, first + rows - 1)

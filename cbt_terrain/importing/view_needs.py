@@ -2,7 +2,8 @@
 """Which tiles and squares of a quick import views need: those where the finest errors are too many pixels.
 
 A quick import has few samples, and tiles of it are loaded in more detail (refining.py), squares with the finest files
-(finer_squares.py).
+(finer_squares.py). A land (SeenLand) is a placement of the terrain with the views that see it and the error that they
+allow. Errors are those that the store has for the finest vertices, in the centres of 2 x 2 cells of the raster.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -53,7 +54,8 @@ class SeenLand(NamedTuple):
 def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
     """Return the numbers of the tiles that views need and an incomplete store lacks, ascending. Raises TerrainError.
 
-    A tile is needed where the finest stored errors are larger than the allowed pixels.
+    A tile is needed where the finest stored errors are larger than the allowed pixels. At most the MAX_TILES most
+    needed ones are returned. seen: the land with its views.
     """
     return seen_tiles(open_store(first_picture(store)), seen, loaded_tiles(read_json(store)["provenance"]))
 
@@ -61,7 +63,7 @@ def missing_tiles(store: Path, seen: SeenLand) -> tuple[int, ...]:
 def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]:
     """Return all tiles that any of several lands needs and an incomplete store lacks, in ascending order.
 
-    They are those that `missing_tiles` finds for each land, call after call. Raises TerrainError.
+    `missing_tiles` finds a limited number of them in a call, for one land. Raises TerrainError.
     """
     return tuple(sorted(needed_tiles(store, lands) - loaded_tiles(read_json(store)["provenance"])))
 
@@ -69,7 +71,7 @@ def all_missing_tiles(store: Path, lands: Iterable[SeenLand]) -> tuple[int, ...]
 def needed_tiles(store: Path, lands: Iterable[SeenLand]) -> frozenset[int]:
     """Return all tiles with a larger error in view than one of several lands allows, loaded or not.
 
-    There are none unless the first picture `is_large`. Raises TerrainError.
+    There are none for a small raster, which is soon imported completely (`is_large`). Raises TerrainError.
     """
     field = open_store(first_picture(store))
     if not is_large(field):
@@ -79,20 +81,25 @@ def needed_tiles(store: Path, lands: Iterable[SeenLand]) -> frozenset[int]:
 
 
 def neediest_tile(store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> int:
-    """Return that of some tiles whose errors exceed the allowed ones of several lands most. Raises TerrainError."""
+    """Return the one of some tiles whose error in view is the largest multiple of what one of several lands allows.
+
+    Raises TerrainError.
+    """
     field = open_store(first_picture(store))
     ratios = _ratios_to_allowed(field, picture_side(field), lands)
     return max(tiles, key=lambda tile: ratios[tile])
 
 
 def are_loaded_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
-    """Return whether the loaded tiles have the detail that several lands need there, or squares can add what they lack.
+    """Return whether the loaded tiles of a store have the detail that several lands need there.
 
-    Tiles with all samples of the source have it. `is_fine_enough` judges all tiles, loaded or not. Raises TerrainError.
+    They always have it if they have all samples of the source, or of the coarser files of a mosaic, whose finer files
+    are loaded by squares instead. `is_fine_enough` judges all tiles, loaded or not. Raises TerrainError.
     """
     field = open_store(store)
     squares = finer_squares(field)
-    # Loaded tiles have all samples of the source, or all of its coarser files, to which squares add the finer ones.
+    # `is_coarse`: the raster has the step of the coarser files. The first picture, the store of the quick import, tells
+    # from its own step whether tiles, which are a fixed factor finer, have all samples.
     if (squares is not None and squares.is_coarse) or are_all_samples(open_store(first_picture(store))):
         return True
     ratios, loaded = _ratios_to_allowed(field, side=1 << refining.BITS, lands=lands), loaded_tiles(field.provenance)
@@ -103,10 +110,11 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
     """Return the tiles that views of a first picture need, without loaded ones; the MAX_TILES most needed ones at most.
 
     They are in ascending order. A tile is needed where the finest stored errors are larger than `error_px` pixels:
-    the samples that it lacks are about as far from the surface. There are none unless the field `is_large`.
+    the samples that it lacks are about as far from the surface. There are none for a small raster (`is_large`).
     """
     if not is_large(field):
         return ()
+    # Of the one land: the largest error in view of each tile, by its number.
     [errors_px] = (errors.ravel() for errors in errors_in_view(field, picture_side(field), [seen]))
     errors_px[[tile for tile in loaded if tile < len(errors_px)]] = 0.0
     order = np.argsort(-errors_px, kind="stable")[:MAX_TILES]
@@ -114,10 +122,11 @@ def seen_tiles(field: HeightField, seen: SeenLand, loaded: frozenset[int] = froz
 
 
 def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
-    """Return whether several lands need no more detail than an incomplete store has, judged as in `seen_tiles`.
+    """Return whether several lands need no more detail than an incomplete store has.
 
-    Loaded tiles with all samples of the source lack none. False for a first picture that is not `is_large`. Raises
-    TerrainError.
+    They need more where the finest stored errors are more pixels than they allow, except in loaded tiles that have all
+    samples of the source. False for a first picture of a raster so small that it is soon imported completely
+    (`is_large`). Raises TerrainError.
     """
     field = open_store(store)
     if not loaded_tiles(field.provenance):  # it is a first picture
@@ -125,7 +134,7 @@ def is_fine_enough(store: Path, lands: Sequence[SeenLand]) -> bool:
     squares = finer_squares(field)
     if squares is not None and squares.is_coarse:  # tiles have the coarser files' step; only squares have more detail
         return not (all_missing_tiles(store, lands) or missing_squares(store, lands))
-    if are_all_samples(open_store(first_picture(store))):  # loaded tiles lack nothing
+    if are_all_samples(open_store(first_picture(store))):  # loaded tiles lack nothing, only others may
         return not all_missing_tiles(store, lands)
     # Loaded tiles have a coarser step than the source: they are judged like the others.
     return bool((_ratios_to_allowed(field, side=1 << refining.BITS, lands=lands) <= 1.0).all())
@@ -142,16 +151,17 @@ def missing_squares(store: Path, lands: Sequence[SeenLand], max_count: int | Non
     if squares is None:
         return ()
     wanted, side = sorted(squares.there - squares.loaded), 1 << square_bits(squares.bits)
-    ratios = _ratios_to_allowed(field, side, lands, part=side)[wanted]
+    ratios = _ratios_to_allowed(field, side, lands, part=side)[wanted]  # the largest error of each over the allowed one
     order = np.argsort(-ratios, kind="stable")[:max_count]
     return tuple(sorted(wanted[index] for index in order if ratios[index] > 1.0))
 
 
 def _ratios_to_allowed(field: HeightField, side: int, lands: Sequence[SeenLand], part: int | None = None) -> np.ndarray:
-    """Return the largest ratio of a square's error in view to the error that a land allows: float64 [squares].
+    """Return for each tile or square the largest ratio of its error in view to the error that a land allows.
 
-    A square needs more detail above 1. side: cells along a square. part: cells along its parts that are looked at, None
-    for PARTS parts along a side; both are powers of two.
+    The result is float64 [tiles]; one above 1 needs more detail. side: the field's cells along a tile or square. part:
+    cells along its parts, whose distances from a view are measured; None for PARTS parts along a side. Both are powers
+    of two.
     """
     ratios = np.zeros(len(TileGrid(field.lattice, side.bit_length() - 1)))
     for errors_px, seen in zip(errors_in_view(field, side, lands, part), lands, strict=True):
@@ -173,12 +183,13 @@ def errors_in_view(
     west, south, _, _ = lattice.rectangle()
     columns, rows = (-(-cells // part) for cells in (lattice.cells_x, lattice.cells_y))
     tiling = Tiling(columns, rows, west, south, part * lattice.step_x, part * lattice.step_y, margin=0.0)
-    codes = _centre_codes(field)
-    errors = field.table[0][_largest(codes, part // 2)].ravel()
+    codes = _centre_codes(field)  # a larger code is a larger error, in metres by the table
+    errors = field.table[0][_largest(codes, side=part // 2)].ravel()  # a code has 2 x 2 cells
     for seen in lands:
         box_of(field, seen.vertical_scale, seen.vertical_offset)  # raises for numbers that cannot be used
         boxes = sizing.boxes(tiling, field, seen.vertical_scale, seen.vertical_offset)
         errors_px = _errors_px(field, boxes, errors, seen)
+        # Parts near an eye that exceed the allowed error are looked at again, by cells, if the raster has such cells.
         near = np.flatnonzero((errors_px > seen.error_px) & _is_near(boxes, seen))
         if len(near) and part >> NEAR_BITS and lattice.levels >= NEAR_BITS:
             errors_px[near] = _errors_px_by_cells(field, codes, near // columns, near % columns, part, seen)
@@ -192,7 +203,7 @@ def _errors_px(field: HeightField, boxes: np.ndarray, errors: np.ndarray, seen: 
     lowest and highest corners, metres.
     """
     steps = loaded_m(field.provenance)
-    # steps[1]: metres between all samples of the source
+    # The smallest distance from an eye that counts. steps[1]: metres between all samples of the source.
     nearest = steps[1] if steps is not None else min(field.lattice.step_x, field.lattice.step_y)
     metres_per_px = sizing.footprints(boxes, seen.views, seen.placement, only_seen=True, nearest=nearest)
     stretch_x, stretch_y, stretch_z = lengths(seen.placement[:3, :3])
@@ -208,7 +219,7 @@ def _is_near(boxes: np.ndarray, seen: SeenLand) -> np.ndarray:
     diagonals2 = (sides * sides).sum(axis=1)
     for view in (view for view in seen.views if view.kind != ORTHOGRAPHIC):
         eye = eye_of(product(view.world_to_camera, seen.placement))
-        away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0)
+        away = np.maximum(np.maximum(boxes[:, 0] - eye, eye - boxes[:, 1]), 0.0)  # along each axis, 0 inside
         near |= (away * away).sum(axis=1) < diagonals2
     return near
 
@@ -218,22 +229,26 @@ def _errors_px_by_cells(
 ) -> np.ndarray:
     """Return the largest error, pixels, in each of some parts: float64 [parts].
 
-    Each cell of 2^NEAR_BITS samples a side counts at its own distance. codes: of the errors in the centres of 2 x 2
-    raster cells, [rows, columns]. rows, columns: of the parts, int [parts]. part: samples along a side of one.
+    Each part is divided into cells of 2^NEAR_BITS samples a side, and each of these counts at its own distance. codes:
+    of the errors in the centres of 2 x 2 raster cells, [rows, columns]. rows, columns: of the parts, int [parts]. part:
+    samples along a side of one.
     """
     lattice, cells_a_side = field.lattice, part >> NEAR_BITS
+    # Columns and rows of each part's cells; the last ones of the raster stand for those beyond.
     cell_x, cell_y = (
         np.minimum(places[:, None] * cells_a_side + np.arange(cells_a_side), -(-cells >> NEAR_BITS) - 1)
         for places, cells in ((columns, lattice.cells_x), (rows, lattice.cells_y))
     )
+    # From here on arrays are [parts, rows of cells, columns of cells, ...]: lowest and highest height of each cell.
     heights = cell_ranges(field, NEAR_BITS, cell_x[:, None, :], cell_y[:, :, None])
-    boxes = np.empty((*heights.shape, 3))
+    boxes = np.empty((*heights.shape, 3))  # lowest and highest corner of each cell: x, y, z in metres
     cell_side, (west, south, _, _) = 1 << NEAR_BITS, lattice.rectangle()
     for end in (0, 1):
         boxes[..., end, 0] = west + (cell_x + end)[:, None, :] * (cell_side * lattice.step_x)
         boxes[..., end, 1] = south + (cell_y + end)[:, :, None] * (cell_side * lattice.step_y)
     boxes[..., 2] = np.sort(heights * seen.vertical_scale + seen.vertical_offset, axis=-1)
-    code_in_cell = np.arange(cell_side // 2)  # the codes along a cell
+    # The error of a cell is the largest of its codes; the first table gives the metres of each code.
+    code_in_cell = np.arange(cell_side // 2)  # one code for 2 samples
     code_row, code_column = (
         np.minimum(places[:, :, None] * len(code_in_cell) + code_in_cell, size - 1)
         for places, size in zip((cell_y, cell_x), codes.shape, strict=True)
@@ -252,6 +267,7 @@ def _largest(values: np.ndarray, side: int) -> np.ndarray:
 
 def _centre_codes(field: HeightField) -> np.ndarray:
     """Return the codes of the errors of the finest vertices, in the centres of 2 x 2 cells: [rows, columns]."""
+    # base: where each group of depths begins, from fine to coarse. pages: pages (squares of entries) in a row of it.
     base, pages = field.lattice.layout()
     codes = rows_of(field.error[base[0] : base[1]], int(pages[0]))
     return codes[1 : field.lattice.height : 2, 1 : field.lattice.width : 2]

@@ -162,7 +162,8 @@ def build_catalogue(
     for number, path in enumerate(paths):
         tile = stored.get(str(path))
         now = tuple(_with_sidecars(path))
-        # A new sidecar may change the header, too; the other files of a tile are sources that a VRT names.
+        # `files` begins with the tile and its sidecars. A new sidecar may change the header, too; further files are
+        # sources that a VRT names.
         if tile is None or now != tile.files[: len(now)] or list(tile.files) != list(tile.files_now()):
             tile = _read_tile(path, settings, unpacked)
         tiles.append(tile)
@@ -203,7 +204,8 @@ def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
     """
     written = (entry[0] for tile in _stored_tiles(store, settings).values() for entry in tile.files)
     paths = {absolute_source(path): path for path in written if ".." in Path(path).parts}
-    # The catalogue does not list tile indexes, only their files, whose paths begin with the folder of the index.
+    # The catalogue does not list tile indexes, only their files, whose paths begin with the folder of the index. So an
+    # index was written with that of their parent folders that contains `..` and leads to its own folder.
     indexes = [path for path in files_of(settings) if paths and path.suffix.lower() in INDEX_SUFFIXES]
     folders = [folder for path in paths.values() for folder in Path(path).parents] if indexes else []
     for index in indexes:
@@ -262,7 +264,7 @@ def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) ->
     unpacked: height maps of archives.
     """
     check_named(archive_of(path))
-    files = filter(None, _with_sidecars(path))
+    files = filter(None, _with_sidecars(path))  # entries (path, size, modification time); None: it cannot be read
     raster = open_tile(unpacked.path_of(path), settings)
     try:
         grid = raster.grid

@@ -30,7 +30,7 @@ from ..rasters.grid_pieces import (
     empty_values,
     pieces_of,
 )
-from ..rasters.raster import NEWEST, RESOLUTION, ImportSettings, Raster
+from ..rasters.raster import ImportSettings, Raster
 from .bridges import bridge
 from .catalogue import SourceTile, open_tile
 from .datums import find_shifts
@@ -39,24 +39,12 @@ from .insets import InsetBlend, find_levels
 from .lattices import TileLattice, find_lattices
 from .positions import is_congruent, nodes_of
 from .seam_records import SeamRecords
-from .target_grid import Footprints, TargetGrid
+from .target_grid import Footprints, TargetGrid, rank_tiles
 from .windows import FoundLattice, at_corners, resample_levels, source_box, turns_around
 
 MAX_OPEN = 256  # files
 MAX_BLOCKS = 4096  # whose nodes are kept, 17 KB each
 METHOD = 1  # increased when the same files give other values
-
-
-def rank_tiles(tiles: Sequence[SourceTile], footprints: Footprints, settings: ImportSettings) -> np.ndarray:
-    """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher.
-
-    footprints: boxes and steps of the tiles.
-    """
-    if settings.priority == RESOLUTION:
-        return np.argsort(-(footprints.steps[:, 0] * footprints.steps[:, 1]), kind="stable")
-    if settings.priority == NEWEST:
-        return np.argsort([tile.changed_ns for tile in tiles], kind="stable")
-    return np.arange(len(tiles))
 
 
 class Composite:
@@ -99,7 +87,7 @@ class Composite:
         self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
         self.lattices = find_lattices(self.tiles)
-        # A bridge needs a reach of one step.
+        # A bridge needs a reach of one step; the rest is a margin, since boxes are of some points of a border.
         boxes, steps = footprints.boxes[order], footprints.steps[order] / (grid.step_x, grid.step_y)
         low_u, high_v = grid.indices(boxes[:, 0], boxes[:, 1])
         high_u, low_v = grid.indices(boxes[:, 2], boxes[:, 3])
@@ -202,7 +190,7 @@ class Composite:
         return max((self.shifts.error_of(self.tiles[rank]) for rank in np.flatnonzero(meets)), default=0.0)
 
     def all_roundings(self) -> tuple:
-        """Return the different roundings of the files, in the unit of the composite's values."""
+        """Return the different roundings of the files, in the unit of the composite's values; metres if it converts."""
         return tuple(
             dict.fromkeys(
                 rounding.scaled(tile.scale, tile.offset) if self._converts else rounding
@@ -214,7 +202,7 @@ class Composite:
     def close(self) -> None:
         """Close all files."""
         if self.finer is not None:
-            self.finer[1].close()
+            self.finer[1].close()  # the composite of all files
         while self._open:
             self._open.popitem()[1].close()
 
@@ -244,7 +232,7 @@ class Composite:
                 for half in piece.halves():
                     yield from self._parts(half)
                 return
-            level = int(self.levels[lattice.tiles[0]])
+            level = int(self.levels[lattice.tiles[0]])  # that of all its tiles
             found.append(FoundLattice(level, nodes, self._window(lattice, near, box)))
         yield piece, np.unique(self.levels[meets]), found
 
@@ -263,6 +251,7 @@ class Composite:
                 if below is not None and self.insets is not None:
                     self.insets.blend(level, part, below, result)
             if found and (result.ranks == UNCOVERED).any():
+                # Also in place: *result are the values, their ranks and their position errors.
                 bridge(part, [(lattice.nodes, lattice.window) for lattice in found], *result)
             top, left = part.row - piece.row, part.column - piece.column
             values[top : top + part.rows, left : left + part.columns] = result.values
@@ -280,7 +269,7 @@ class Composite:
             return False
         lattice, nodes = self.lattices[numbers[0]], self._nodes_of(numbers[0], *piece.block)
         if nodes.spacing != BLOCK or nodes.error_u or nodes.error_v or lattice.period:
-            # Positions are not exactly linear between the corners of the block.
+            # Positions in the lattice are not exactly linear between the corners of the piece's block.
             return False
         u, v = (at_corners(values_at_nodes, piece) for values_at_nodes in (nodes.u, nodes.v))
         left, top = round(u[0]), round(v[0])
@@ -288,7 +277,7 @@ class Composite:
         # Corner 0 is the first sample, 3 the last. Lattices with other steps or turned axes miss one of them.
         if max(abs(u[0] - left), abs(v[0] - top), abs(u[3] - ends[0]), abs(v[3] - ends[1])) >= SNAPPED:
             return False
-        covered, parts = np.zeros(values.shape, bool), []
+        covered, parts = np.zeros(values.shape, bool), []  # parts: slices of `values`, rank of a tile, and its window
         for n in np.flatnonzero(meets[lattice.tiles]):  # ascending ranks, so that the highest is copied last
             x0, y0, x1, y1 = map(int, lattice.rectangles[n])
             west, north, east, south = max(x0, left), max(y0, top), min(x1, ends[0]) + 1, min(y1, ends[1]) + 1
@@ -335,11 +324,11 @@ class Composite:
         """Read a box of a lattice from some tiles, in the order of their ranks.
 
         near: indices of these tiles in `lattice.tiles`. box: first column and row, and their ends. The result lists the
-        rectangles of all these tiles, also of those outside the box, since a bridge to them may begin in it.
+        rectangles of all these tiles, also outside the box: a gap that is interpolated up to them may begin in it.
         """
         left, top, right, bottom = box
         values = np.full((bottom - top, right - left), np.nan)
-        ranks = np.full(values.shape, UNCOVERED, np.int32)
+        ranks = np.full(values.shape, UNCOVERED, np.int32)  # UNCOVERED and NO_DATA are negative, below all ranks
         used, used_ranks = [], []  # rectangles and ranks of the tiles; around the globe each has several places
         low, high = lattice.rectangles[near, 0].min(), lattice.rectangles[near, 2].max()
         turns = turns_around(low, high, left, right, lattice.period)
@@ -357,8 +346,9 @@ class Composite:
                 heights = self.tile_window(rank, *map(int, window))
                 inside = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
                 known, before = np.isfinite(heights), ranks[inside]
-                is_higher = known & (rank > before)  # NO_DATA: tiles are there, but none has a height
+                is_higher = known & (rank > before)
                 values[inside][is_higher] = heights[is_higher]
+                # Where a tile is, but none yet has a height, the rank becomes NO_DATA.
                 ranks[inside] = np.where(is_higher, rank, np.where(known | (before >= 0), before, NO_DATA))
         return LatticeWindow(values, ranks, left, top, np.array(used), np.array(used_ranks))
 
@@ -375,7 +365,7 @@ class Composite:
         heights = raster.window(row, rows, column, columns).astype(np.float64)
         if not self._converts:
             return heights
-        counts, shifts = (raster.height, raster.width), self.shifts
+        counts, shifts = (raster.height, raster.width), self.shifts  # counts: smaller than the tile's for an overview
         shift = shifts.window(tile, counts, row, rows, column, columns) if shifts is not None else 0.0
         return heights * tile.scale + tile.offset + shift
 

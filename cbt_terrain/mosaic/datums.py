@@ -60,6 +60,7 @@ class ShiftNodes(NamedTuple):
         counts: rows and columns of an overview if the samples are of one.
         """
         counts = counts or self.size
+        # Of each row and column of the window: the node before it, and the fraction of the way to the next one.
         i, t = self._node_positions(0, row, rows, counts[0])
         j, s = self._node_positions(1, column, columns, counts[1])
         nodes = self.metres[i] * (1.0 - t)[:, None] + self.metres[i + 1] * t[:, None]
@@ -136,7 +137,7 @@ class DatumShifts:
                     f"{what} {shown(tile.path)}",
                     fix="remove the grid from PROJ's folder to import without a conversion, or get a larger one",
                 )
-            error = MARGIN * interpolation_error(exact)
+            error = MARGIN * interpolation_error(exact)  # MARGIN: it may be larger elsewhere than halfway
             if error <= MAX_ERROR_M:
                 break
         return ShiftNodes(np.ascontiguousarray(exact[::2, ::2]), (tile.height, tile.width), error)
@@ -150,7 +151,10 @@ class DatumShifts:
         return [Path(grid) for grid in map(_grid_of, datums) if grid is not None]
 
     def metres_at(self, tile: SourceTile, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return metres to add at samples of a tile, float64 [n], NaN where PROJ has no grid."""
+        """Return metres that convert heights at samples of a tile to the common datum: float64 [n], NaN without a grid.
+
+        columns, rows: of the samples, float64 [n].
+        """
         x, y = tile.position(columns, rows)
         return _above_ellipsoid(tile.datum, tile.crs, x, y) - _above_ellipsoid(self.reference.datum, tile.crs, x, y)
 
@@ -174,7 +178,7 @@ def find_shifts(tiles: Sequence[SourceTile]) -> DatumShifts | None:
 
 
 def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return metres of a datum above the ellipsoid at positions in a system; NaN where there is no grid.
+    """Return metres from the ellipsoid up to the zero surface of a vertical datum; NaN where PROJ has no grid of it.
 
     crs: name of the system of x and y, arrays of one shape.
     """
@@ -186,6 +190,7 @@ def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.n
     grid = _grid_of(datum)
     if grid is None:
         return np.full(len(x), np.nan)
+    # Let PROJ convert height 0 above the datum, a system defined by the grid of its geoid, to one above the ellipsoid.
     longitude, latitude = projected(crs, GEOGRAPHIC, x, y)
     geoid = GEOID.format(plane=crs_of(GEOGRAPHIC).to_wkt(version="WKT1_GDAL"), grid=grid)
     try:
@@ -197,7 +202,10 @@ def _above_ellipsoid(datum: str, crs: str, x: np.ndarray, y: np.ndarray) -> np.n
 
 @lru_cache(maxsize=len(GRIDS))
 def _grid_of(datum: str) -> str | None:
-    """Return the path of a datum's grid in the folders of the user's PROJ, None if there is none."""
+    """Return the path of a datum's grid in the folders of the user's PROJ, None if there is none.
+
+    The folders are those in the variable GRID_FOLDERS, which holds the parent process's PROJ_DATA, and the usual ones.
+    """
     user = os.environ.get("XDG_DATA_HOME", "~/.local/share") + "/proj"
     folders = [*os.environ.get(GRID_FOLDERS, "").split(os.pathsep), USER_FOLDERS.get(sys.platform, user)]
     for folder in filter(None, (*folders, *SYSTEM_FOLDERS)):

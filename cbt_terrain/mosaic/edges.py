@@ -5,6 +5,9 @@ They are compared in the middle of the open cell between both files, to which th
 extrapolated, so that a slope is no step. The same comparison inside the two files tells how much of that is their land,
 which is subtracted. The median along an edge counts: a cliff is on a part of it, but a wrong unit or vertical datum is
 on all of it.
+
+A lattice is a grid that the samples of several files share. A Composite has all lattices of a mosaic, and its files
+(tiles) in the order of their priority.
 """
 
 from collections.abc import Iterator
@@ -45,7 +48,7 @@ class TileEdge(NamedTuple):
 def find_edges(composite: Composite) -> StepReport:
     """Compare the heights of files that are neighbours on one lattice, where one ends and the other begins.
 
-    Each edge with heights has one step, the median, at its middle.
+    Each edge with heights has one step, the median, at its middle: metres, the second file's height less the first's.
     """
     edges = [edge for lattice in composite.lattices for edge in neighbours(lattice)]
     chosen = [edges[len(edges) * n // MAX_EDGES] for n in range(MAX_EDGES)] if len(edges) > MAX_EDGES else edges
@@ -53,6 +56,7 @@ def find_edges(composite: Composite) -> StepReport:
     names: list[tuple[str, str]] = []
     for edge in chosen:
         composite.on_piece()
+        # The heights of each file on the edge, and the same difference a sample farther inside, which its land makes.
         first, step_in_first = _border(composite, edge, is_second=False)
         second, step_in_second = _border(composite, edge, is_second=True)
         step = second - first
@@ -66,17 +70,29 @@ def find_edges(composite: Composite) -> StepReport:
             one, other = (composite.tiles[rank].path for rank in ranks)
             names.append((one, other))
     positions = np.array(places).reshape(-1, 2)
-    return StepReport(len(edges), len(chosen), np.array(steps), positions, np.arange(len(names)), names)
+    return StepReport(
+        pairs=len(edges),
+        compared=len(chosen),
+        steps=np.array(steps),
+        places=positions,
+        numbers=np.arange(len(names)),
+        names=names,
+    )
 
 
 def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:
-    """Yield the edges of a lattice, of at least MIN_LINE samples. The east of the last column may be the first one."""
+    """Yield the edges between a lattice's files that share at least MIN_LINE rows or columns.
+
+    Around the globe, a file at the first column may be the eastern neighbour of one at the last column.
+    """
     for axis in (0, 1):
+        # first, last: of each file across its edges; low, high: along them.
         first, last = lattice.rectangles[:, axis], lattice.rectangles[:, axis + 2]
         low, high = lattice.rectangles[:, 1 - axis], lattice.rectangles[:, 3 - axis]
         turn = lattice.period if axis == 0 else 0  # columns around the globe, 0 for none
         # `after`: where a neighbour of each tile has to begin.
         starts, after = (first % turn, (last + 1) % turn) if turn else (first, last + 1)
+        # In the order of their starts, the neighbours of a tile follow each other: entries begin .. end - 1.
         order = np.argsort(starts, kind="stable")
         ends = np.searchsorted(starts[order], after), np.searchsorted(starts[order], after, side="right")
         for number, (begin, end) in enumerate(zip(*ends, strict=True)):
@@ -87,26 +103,30 @@ def neighbours(lattice: TileLattice) -> Iterator[TileEdge]:
 
 
 def _border(composite: Composite, edge: TileEdge, is_second: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values of one file of an edge half a sample beyond its border, and its own steps: both float64 [n].
+    """Return the values of one file half a sample beyond an edge, and the steps inside that file: both float64 [n].
 
-    The values are extrapolated, and NaN where one of the two outermost samples is missing. The steps are what the same
-    comparison finds inside the file, two samples further in, and 0 in a file of fewer than 4 samples across. Both are
-    in the composite's unit, before its scale. is_second: take the second file of the edge, else the first.
+    The values are extrapolated, and NaN where one of the two outermost samples is missing. A step is the difference
+    between two extrapolations to the middle of the second and third sample from the edge, one from either side; 0 in a
+    file of fewer than 4 samples across. Both are in the composite's unit, before its scale. is_second: take the edge's
+    second file, which is in the east or south, else the first.
     """
     number = edge.second if is_second else edge.first
     rectangle, axis = edge.lattice.rectangles[number], edge.axis
-    low, high = edge.line()
+    low, high = edge.line()  # first and last sample along the edge
+    # samples of the file across the edge, and where the edge begins in it
     size, offset = int(rectangle[axis + 2] - rectangle[axis]) + 1, low - int(rectangle[1 - axis])
     depth = min(size, 4)
     # First sample and count of the outermost samples, across the edge and along it.
     across, along = (0 if is_second else size - depth, depth), (offset, high - low + 1)
     rows, columns = (along, across) if axis == 0 else (across, along)
     window = composite.tile_window(int(edge.lattice.tiles[number]), *rows, *columns)
+    # Lines of samples along the edge, from the border inwards. `_half_beyond` extrapolates from two lines.
     lines = window.T if axis == 0 else window
-    lines = lines if is_second else lines[::-1]  # from the border inwards
+    lines = lines if is_second else lines[::-1]
     step = np.zeros(len(lines[0]))
     if depth == 4:
-        step = _half_beyond(lines[2], lines[3]) - _half_beyond(lines[1], lines[0])
+        step = _half_beyond(lines[2], lines[3]) - _half_beyond(lines[1], lines[0])  # inner side less outer side
+    # A step is east less west, or south less north; the first file's inner side is in the west or north.
     return _half_beyond(lines[0], lines[min(1, depth - 1)]), step if is_second else -step
 
 
@@ -116,7 +136,10 @@ def _half_beyond(near: np.ndarray, far: np.ndarray) -> np.ndarray:
 
 
 def _middle(composite: Composite, edge: TileEdge) -> tuple[float, float]:
-    """Return x and y of the middle of an edge in the grid's system."""
+    """Return x and y of the middle of an edge in the grid's system.
+
+    It is half a sample beyond the first file, which is west of the second (axis 0) or above it (axis 1).
+    """
     low, high = edge.line()
     across, along = edge.lattice.rectangles[edge.first][edge.axis + 2] + 0.5, (low + high) / 2
     u, v = (across, along) if edge.axis == 0 else (along, across)

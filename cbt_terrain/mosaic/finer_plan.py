@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mosaics whose finer files cover little: a grid for the coarser files, and finer tiles where the finer files are."""
+"""Mosaics whose finer files cover little: a grid for the coarser files, and finer tiles where the finer files are.
+
+A cell of the coarse grid has 2^bits x 2^bits finer cells, those of the grid with the finest step. A finer tile has
+SIDE x SIDE of these; bits are limited (MAX_BITS), because no coarse cell may be larger than a tile.
+"""
 
 from dataclasses import dataclass
 
@@ -38,14 +42,17 @@ class FinerPlan:
 def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
     """Return how to divide a mosaic into a coarse raster and tiles of finer files; None if that saves little space.
 
-    None also without a finer file, and if the grid has fewer samples than FEWEST. grid: with the finest step. levels
-    [files]: 0 for the coarsest, more for finer ones on top of them. steps [files]: samples of the grid between two of a
-    file. boxes [files, 4]: lowest column and row of the grid and highest ones of each.
+    None also without a finer file, if the grid has fewer samples than FEWEST, and for a strip of fewer than 3 coarse
+    samples across. grid: with the finest step. levels [files]: 0 for the coarsest, more for finer ones on top of them.
+    steps [files]: samples of the grid between two of a file. boxes [files, 4]: lowest column and row of the grid and
+    highest ones of each.
     """
     is_finer = levels > 0
     if not is_finer.any() or grid.width * grid.height < FEWEST:
         return None
+    # The coarse step is the largest power of two of finer steps that does not exceed that of a coarse file.
     bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
+    # The coarse grid has every 2^bits-th sample. Finer tiles are stored besides, and together must be few enough.
     width, height = ((count - 1 >> bits) + 1 for count in (grid.width, grid.height))
     low = np.floor(boxes[is_finer, :2]).astype(np.int64) - (grid.column, grid.row)
     high = np.ceil(boxes[is_finer, 2:]).astype(np.int64) - (grid.column, grid.row)
@@ -54,7 +61,8 @@ def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: n
     needed = width * height + tiles * SIDE * SIDE
     if bits < 1 or SAVING * needed > grid.width * grid.height or min(width, height) < 3:
         return None
-    # Samples of the coarse grid have numbers, too, that do not change when the extent grows by whole cells.
+    # The first coarse sample is on the first fine one, and its column and row are that one's >> bits. The bits that are
+    # lost move the origin (x0, y0). So a coarse sample keeps its number when the extent grows by whole cells.
     column, row = grid.column >> bits, grid.row >> bits
     x0, y0 = grid.positions(np.array(grid.column - (column << bits)), np.array(grid.row - (row << bits)))
     coarse = grid._replace(x0=float(x0), y0=float(y0), column=column, row=row, width=width, height=height)
@@ -66,7 +74,7 @@ def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: n
 def _count_tiles(grid: TargetGrid, file_boxes: np.ndarray) -> int:
     """Return the number of finer tiles of a grid that the files meet, with the tiles next to these.
 
-    file_boxes: in columns and rows of the grid, see `FinerPlan.boxes`.
+    file_boxes: int64 [files, 4], first column and row of the grid and last ones of each finer file.
     """
     is_tile = np.zeros((grid.height // SIDE + 1, grid.width // SIDE + 1), bool)
     for west, north, east, south in file_boxes // SIDE:

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings about files that later files hide, by their headers alone."""
+"""Warnings about files that later files hide, by their headers alone.
+
+A Composite has the files (tiles) of a mosaic in the order of their priority. By their number in it, the rank, it also
+has their boxes in columns and rows of the target grid, and the steps of their samples in samples of that grid. A
+lattice is a grid that several files share.
+"""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +20,7 @@ from .systems import projected
 
 STEP_TOLERANCE = 0.01  # steps that differ by less count as equal, as those of degrees in neighbouring zones
 SIDE_POINTS = 24  # along each axis of a file, at which later files are looked for
-HIDDEN_PART = 0.5  # of a finer file below coarser ones, from which on it is warned about
+HIDDEN_FRACTION = 0.5  # of a finer file below coarser ones, from which on it is warned about
 
 
 class HiddenFile(NamedTuple):
@@ -24,28 +29,30 @@ class HiddenFile(NamedTuple):
     Attributes:
         rank: the file.
         upper: rank of the file that covers most of it.
-        part: fraction of the file that is covered, 0 to 1.
+        fraction: part of the file that is covered, 0 to 1.
     """
 
     rank: int
     upper: int
-    part: float
+    fraction: float
 
 
 def hidden_warnings(composite: Composite) -> list[str]:
     """Return warnings about files that later files hide or replace; [] without any.
 
-    A coarser file below finer ones is none of them: it fills their gaps.
+    There are three kinds: files whose samples have the positions of a later file's, finer files largely below coarser
+    ones, and files wholly below files that are not finer. A coarser file below finer ones fills their gaps.
     """
-    replaced = _replaced_files(composite)
+    replaced = _replaced_files(composite)  # by rank
+    # Ranks of the files of all pairs whose boxes meet; `upper` is the later one.
     lower, upper = np.array(overlapping_pairs(composite.boxes), np.int64).reshape(-1, 2).T
     ratios = composite.steps[upper] / composite.steps[lower]
     is_coarser = ratios > 1 + STEP_TOLERANCE
-    finer = _hidden_files(composite, lower[is_coarser], upper[is_coarser], min_part=HIDDEN_PART)
-    # The others have no effect below files of the same step, or of the same and of larger steps together.
+    finer = _hidden_files(composite, lower[is_coarser], upper[is_coarser], min_fraction=HIDDEN_FRACTION)
+    # Another file has no effect if files of its step and of larger ones, together, cover all of it.
     is_named = np.isin(lower, [*replaced, *(file.rank for file in finer)])
     is_left = (ratios >= 1 - STEP_TOLERANCE) & ~is_named
-    without_effect = _hidden_files(composite, lower[is_left], upper[is_left], min_part=1.0)
+    without_effect = _hidden_files(composite, lower[is_left], upper[is_left], min_fraction=1.0)
     return [
         *_finer_warnings(composite, finer),
         *_effect_warnings(composite, without_effect),
@@ -53,24 +60,25 @@ def hidden_warnings(composite: Composite) -> list[str]:
     ]
 
 
-def _hidden_files(composite: Composite, lower: np.ndarray, upper: np.ndarray, min_part: float) -> list[HiddenFile]:
-    """Return the files of which later files cover at least a part, in the order of their ranks.
+def _hidden_files(composite: Composite, lower: np.ndarray, upper: np.ndarray, min_fraction: float) -> list[HiddenFile]:
+    """Return the files of which later files cover at least `min_fraction`, 0 to 1, in the order of their ranks.
 
-    lower, upper: ranks of each pair of files whose boxes meet, `lower` ascending. min_part: fraction of a file, 0 to 1.
+    lower, upper: ranks of each pair of files whose boxes meet, `lower` ascending.
     """
     half = composite.steps[:, None] / 2
     low, high = composite.boxes[:, :2] - half, composite.boxes[:, 2:] + half
     sides = np.minimum(high[lower], high[upper]) - np.maximum(low[lower], low[upper])
-    parts = np.maximum(sides, 0.0).prod(axis=1) / (high - low).prod(axis=1)[lower]
-    # The box of a turned file is larger than the file, so boxes only tell which files need a closer look.
-    is_possible = np.bincount(lower, parts, minlength=len(composite.tiles)) >= min_part / 2
+    fractions = np.maximum(sides, 0.0).prod(axis=1) / (high - low).prod(axis=1)[lower]
+    # `fractions`: that of the lower box in each upper one. The box of a turned file has up to twice its area, so half
+    # of the fraction is enough here; boxes only tell which files need a closer look.
+    is_possible = np.bincount(lower, fractions, minlength=len(composite.tiles)) >= min_fraction / 2
     places = {int(n): (lattice, k) for lattice in composite.lattices for k, n in enumerate(lattice.tiles)}
     hidden = []
     for rank in np.flatnonzero(is_possible).tolist():
-        pairs = slice(*np.searchsorted(lower, [rank, rank + 1]))
-        largest_first = upper[pairs][np.argsort(-parts[pairs], kind="stable")]
+        pairs = slice(*np.searchsorted(lower, [rank, rank + 1]))  # those with this file below
+        largest_first = upper[pairs][np.argsort(-fractions[pairs], kind="stable")]
         file = _cover_of(composite.tiles[rank], rank, {int(n): places[n] for n in largest_first})
-        hidden += [file] if file.part >= min_part else []
+        hidden += [file] if file.fraction >= min_fraction else []
     return hidden
 
 
@@ -93,7 +101,7 @@ def _cover_of(tile: SourceTile, rank: int, uppers: dict[int, tuple[TileLattice, 
         is_covered |= is_inside
         if is_covered.all():
             break
-    return HiddenFile(rank, max(counts, key=counts.__getitem__), float(is_covered.mean()))
+    return HiddenFile(rank, upper=max(counts, key=counts.__getitem__), fraction=float(is_covered.mean()))
 
 
 def _names(composite: Composite, file: HiddenFile) -> tuple[str, str]:
@@ -106,12 +114,12 @@ def _finer_warnings(composite: Composite, hidden: list[HiddenFile]) -> list[str]
     """Return a warning about finer files of which coarser ones cover most; [] without any."""
     if not hidden:
         return []
-    worst = max(hidden, key=lambda file: file.part)
+    worst = max(hidden, key=lambda file: file.fraction)
     name, upper = _names(composite, worst)
-    part = f"{int(100 * worst.part)} % of {'it' if len(hidden) == 1 else name}"
+    covered = f"{int(100 * worst.fraction)} % of {'it' if len(hidden) == 1 else name}"
     which = f"{name} lies" if len(hidden) == 1 else f"{len(hidden):,} files, such as {name}, lie"
     return [
-        f"{which} below coarser files, such as {upper}, which cover {part}, so only gaps in those show its heights "
+        f"{which} below coarser files, such as {upper}, which cover {covered}, so only gaps in those show its heights "
         "there. Name the finer files last, or set Overlaps to Finest File (--priority resolution)."
     ]
 
@@ -144,12 +152,12 @@ def _replaced_files(composite: Composite) -> dict[int, int]:
 def _replaced_warnings(composite: Composite, replaced: dict[int, int]) -> list[str]:
     """Return a warning about files that others replace, because their samples have the same positions.
 
-    replaced: from `_replaced_files`.
+    replaced: ranks of these files, each with the rank of the last file that replaces it.
     """
     if not replaced:
         return []
     rank = min(replaced)
-    name, other = _names(composite, HiddenFile(rank, replaced[rank], part=1.0))
+    name, other = _names(composite, HiddenFile(rank, replaced[rank], fraction=1.0))
     more = f", and {len(replaced) - 1:,} more files are replaced so" if len(replaced) > 1 else ""
     return [
         f"{other} has all its samples at the places of those of {name}, and replaces these "

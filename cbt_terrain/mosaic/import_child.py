@@ -35,6 +35,7 @@ def child_main() -> None:
 def has_several(settings: ImportSettings) -> bool:
     """Return whether the sources are several files or one archive of several tiles. Raises TerrainError."""
     path = Path(settings.source)
+    # Only a single .zip has to be opened to know it.
     if names_several(settings) or not may_name_several(settings):
         return names_several(settings)
     check_file(path)  # one archive
@@ -42,7 +43,10 @@ def has_several(settings: ImportSettings) -> bool:
 
 
 def paths_of(settings: ImportSettings) -> list[Path]:
-    """Return the files that the import may open, and for a tile index a name of each kind that it may name."""
+    """Return the files that the import may open, by whose suffixes the sandbox keeps drivers.
+
+    Files in a tile index are unknown before it is read, so a made-up name stands for each kind that it may name.
+    """
     paths = files_of(settings)
     if any(path.suffix.lower() in INDEX_SUFFIXES for path in paths):
         paths += [Path(f"any{suffix}") for suffix, form in FORMATS.items() if form.may_be_indexed]
@@ -69,18 +73,21 @@ def run_mosaic_import(
 ) -> dict:
     """Import a mosaic in this process and return the report. Raises TerrainError.
 
-    path: the store's folder. on_progress: gets a fraction and a message, and once a report on a mosaic that is new; an
-    exception from it cancels the import. folder: name of the new folder of arrays in it, None for a new one. crew:
-    processes that read and measure tiles, None for this process alone. part: the part of an import that this process
-    does, None for all.
+    Args:
+        path: the store's folder.
+        on_progress: gets a fraction and a message, and once also a report on the mosaic (`describe_mosaic`), unless the
+            store has it already; an exception from it cancels the import.
+        folder: name of the folder of arrays that is made in the store; None to choose a name.
+        crew: processes that read and measure tiles; None for this process alone.
+        part: the part of an import that this process does, if several share it; None for all.
     """
     store_folder.check_target(path)
     settings.check()
     folder = folder or store_folder.new_data_name()
-    reached: tuple = (0.0, READING)  # the last progress: fraction and message
+    reached: tuple = (0.0, READING)  # the last progress: fraction and message; files are scanned in the first SCANNED
 
     def tell(done: float, message: str) -> None:
-        """Pass progress on, and keep it for pieces of the mosaic that take long."""
+        """Pass progress on, and keep it, to be repeated while a piece of the mosaic takes long."""
         nonlocal reached
         reached = SCANNED + (1.0 - SCANNED) * done, message
         on_progress(*reached)
@@ -105,7 +112,8 @@ def run_mosaic_import(
         return raster
 
     with unpacked_sources(settings, path / store_folder.scratch_name(folder)) as files:
-        return import_raster(settings, Path(settings.source), path, folder, tell, open_mosaic, crew, part)
+        file = Path(settings.source)
+        return import_raster(settings, file, path, folder, tell, open_raster=open_mosaic, crew=crew, part=part)
 
 
 def _import(request: dict, on_progress: Tell, begin: Callable[[], None]) -> dict:

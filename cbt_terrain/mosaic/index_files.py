@@ -40,10 +40,10 @@ def paths_in(path: Path) -> list[Path]:
 
 
 def _names_in(path: Path, column: str) -> tuple[list[str], str]:
-    """Return the paths in an index as texts, and the requested name of their column, `column` or that in XML.
+    """Return the paths in an index as texts, and the name under which their column was searched.
 
-    column: the name of the column of paths, "" for one of the usual names. Raises OSError, ValueError, and the errors
-    of the modules that parse the index.
+    column: this name, "" for the usual ones (COLUMNS). An index in XML names another index and its column, which is
+    read instead. Raises OSError, ValueError, and the errors of the modules that parse the index.
     """
     start = read_start(path, len(SQLITE))
     if start == SQLITE:
@@ -116,17 +116,19 @@ def _names_in_table(path: Path, column: str) -> list[str]:
         if len(head) < FIELD_BYTES:
             raise ValueError("it is empty" if not head else "it ends within its header")
         count, head_bytes, row_bytes = struct.unpack("<4xIHH20x", head)  # count: number of rows
+        # The header's rest has FIELD_BYTES for each field: bytes 0 to 10 are its name, byte 16 its bytes in a row.
         fields = file.read(max(0, head_bytes - FIELD_BYTES))
         names, sizes = [], []
         for offset in range(0, min(len(fields), MAX_FIELDS * FIELD_BYTES) - FIELD_BYTES + 1, FIELD_BYTES):
             if fields[offset] == 0x0D:  # ends the list of fields
                 break
             names.append(fields[offset : offset + 11].split(b"\0")[0].decode("latin-1"))
-            sizes.append(fields[offset + 16])  # bytes of the field in a row
+            sizes.append(fields[offset + 16])
         index = _find_column(names, column)
         if index is None or row_bytes != 1 + sum(map(int, sizes)):  # a row begins with its mark of deletion, " " or "*"
             raise ValueError(f"it has no column {column or COLUMNS[0]!r}")
         first = 1 + sum(map(int, sizes[:index]))
+        # One row more than is allowed tells `_check_count` that there are too many.
         rows = [file.read(row_bytes) for _ in range(min(count, MAX_FILES + 1))]
     texts = [row[first : first + sizes[index]] for row in rows if len(row) == row_bytes and row[:1] != b"*"]
     return _check_count([text.decode("utf-8", "replace").strip(" \0") for text in texts])

@@ -6,6 +6,9 @@ sample that it lacks and that is known below. Distances to seams are measured be
 fixed places of the grid, so a blended height depends on its place and the tiles alone.
 
 Marks are bits of a level's samples: bit n for a seam where level n shows, the last bit for a sample with nothing below.
+
+A rank is a tile's number in the order of priority; it is negative for a sample without a value. A block is a square of
+BLOCK x BLOCK samples of the grid, at a fixed place.
 """
 
 import hashlib
@@ -27,7 +30,7 @@ MIN_RATIO = 1.9  # of the steps of two levels
 MIN_SIDE = 8  # samples of the level below; a narrower lattice is not blended, because a ring would leave nothing of it
 # A ring is at most 1 / this of the largest distance to a seam, so most of an inset keeps its heights.
 MAX_PART = 4
-WIDER = 4  # cells of a ring along one by which that distance is measured
+WIDER = 4  # ring cells along a side of the larger cells by which that distance is measured
 MAX_LEVELS = 62  # whose seams are bits of one number
 MAX_STRETCH = 4.0  # of a ring's axes
 MAX_CELL_BYTES = 1 << 28  # cached marks
@@ -72,10 +75,10 @@ def overlapping_pairs(boxes: np.ndarray) -> list[tuple[int, int]]:
 def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.ndarray) -> np.ndarray:
     """Return the level of each tile, 0 for the coarsest, and 0 for all if no tile overlaps a coarser one.
 
-    steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4], as in
-    `Composite`. lattices: of all tiles.
+    steps: float64 [tiles, 2], samples of the grid between samples of a tile. boxes: float64 [tiles, 4], lowest column
+    and row of the grid and highest ones of each tile. lattices: of all tiles.
     """
-    levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])
+    levels, sizes = np.zeros(len(steps), np.int64), np.sqrt(steps[:, 0] * steps[:, 1])  # sizes: mean step of each tile
     coarsest = np.array([sizes[lattice.tiles].max() for lattice in lattices])
     level, first_size, owners = 0, coarsest.max(), np.zeros(len(steps), np.int64)  # owners: the lattice of each tile
     # From the coarsest lattice on: one that is MIN_RATIO finer than the first of its level begins the next level.
@@ -87,17 +90,17 @@ def find_levels(lattices: Sequence[TileLattice], steps: np.ndarray, boxes: np.nd
         return levels
     pairs = np.array(overlapping_pairs(boxes), np.int64).reshape(-1, 2)
     lower, upper = pairs[levels[pairs[:, 0]] < levels[pairs[:, 1]]].T  # finer tiles over coarser ones
-    finest_below = np.full(len(lattices), -1)
+    finest_below = np.full(len(lattices), -1)  # finest level below each lattice, -1 for none
     np.maximum.at(finest_below, owners[upper], levels[lower])
     level_steps = [steps[levels == number].max(axis=0) for number in range(level + 1)]
-    # A lattice that is too narrow for a ring belongs to the level below it.
+    # A lattice narrower than MIN_SIDE samples of the level below has no room for a ring, and joins that level.
     for number in np.flatnonzero(finest_below >= 0):
         tiles, below = lattices[number].tiles, finest_below[number]
         sides = boxes[tiles, 2:].max(axis=0) - boxes[tiles, :2].min(axis=0)
         if (sides < MIN_SIDE * level_steps[below]).any():
             levels[tiles] = below
-    lower, upper = levels[pairs].T
-    # Without gaps in the numbers of levels.
+    lower, upper = levels[pairs].T  # the final levels of each overlapping pair, of which `upper` may be the finer
+    # np.unique numbers the remaining levels without gaps.
     return np.unique(levels, return_inverse=True)[1] if (upper > lower).any() else np.zeros_like(levels)
 
 
@@ -120,7 +123,7 @@ class InsetBlend:
         self.levels, self._scan = levels, scan
         self.rings = [_ring(steps[levels == level].max(axis=0, initial=0.0)) for level in range(levels.max() + 1)]
         self._kind = np.min_scalar_type(1 << len(self.rings))  # of `_marks`: a bit for each level and one more
-        # The last two are those of the ranks UNCOVERED and NO_DATA.
+        # By rank, so the last two are for UNCOVERED (-1) and NO_DATA (-2).
         self._bits = np.append(np.left_shift(1, levels), [0, 0]).astype(self._kind)
         last = grid.row + grid.height - 1, grid.column + grid.width - 1
         # First and last row, and first and last column, of the grid's blocks.
@@ -133,30 +136,32 @@ class InsetBlend:
 
     @property
     def reach(self) -> int:
-        """Return the distance, samples of the grid, up to which tiles have a part in a blended sample.
+        """Return the distance, samples of the grid, up to which tiles influence a blended sample.
 
         It is the margin of the widest window of `_marks_around`, whose first and last cells are whole.
         """
         wide = map(_widened, self.rings)
         # Each ring of a window, and how many of its widths the margin has.
         windows = [*((ring, 1) for ring in self.rings), *((ring, MAX_PART + 1) for ring in wide)]
+        # Two cells more: the margin's additional one, and that in which the sample is.
         return max(ring.cell * (rings * max(ring.reach) + 2) for ring, rings in windows)
 
     def blend(self, level: int, piece: GridPiece, below: PieceValues, top: PieceValues) -> None:
         """Blend the values of a level in `top` to those below it, in place, where both are known and inside a ring.
 
-        below: the values of the piece without the level.
+        below, top: values, ranks and position errors (`moved`) of the piece's samples without the level, and with it.
+        Position errors are blended as the values.
         """
         mixed = (below.ranks >= 0) & (top.ranks > below.ranks)
         if not mixed.any():
             return
-        fraction = np.ones(mixed.shape)  # of the way through the narrowest ring
+        fraction = np.ones(mixed.shape)  # of the way through a ring, the smallest of the rings on all levels below
         for lower in range(level):
             of_ring = self._fractions(level, lower, piece)
             fraction = fraction if of_ring is None else np.minimum(fraction, of_ring)
         mixed &= fraction < 1.0
         t = fraction[mixed]
-        weight = t * t * (3.0 - 2.0 * t)
+        weight = t * t * (3.0 - 2.0 * t)  # from 0 to 1 without a kink at either end
         for of_top, of_below in ((top.values, below.values), (top.moved, below.moved)):
             of_top[mixed] = of_below[mixed] * (1.0 - weight) + of_top[mixed] * weight
 
@@ -171,16 +176,19 @@ class InsetBlend:
         seams, ends = marks >> lower & 1 != 0, marks >> len(self.rings) & 1 != 0
         if not seams.any():
             return None
-        # The ring is narrower where the largest distance to a seam nearby is small; larger cells give that distance.
+        # In a narrow inset the ring is narrower: it depends on the largest distance to a seam nearby, which is measured
+        # in the larger cells of the widened ring, because it looks further.
         wide = _widened(ring)
         cells_per_wide = wide.cell // ring.cell
         widest = find_widest(self._marks_around(level, wide, piece, margin_rings=MAX_PART + 1) >> lower & 1 != 0, wide)
+        # Corners of the ring's cells that the piece meets, down and across: their numbers from the grid's origin.
         first = piece.row // ring.cell, piece.column // ring.cell
         last = (piece.row + piece.rows - 1) // ring.cell, (piece.column + piece.columns - 1) // ring.cell
         corners = [np.arange(n, m + 2) for n, m in zip(first, last, strict=True)]
-        # Interpolate from corners of the wide ring's cells to corners of the ring's cells.
+        # Interpolate from corners of the wide ring's cells, the first of which is not after n[0], to these corners.
         widest = _interpolate(widest, *(n / cells_per_wide - n[0] // cells_per_wide for n in corners))
         nodes = ring_fractions(seams, ends, widest, ring)
+        # Interpolate from these corners to the samples, which are in the middle of squares of side 1.
         rows, columns = piece.row + np.arange(piece.rows), piece.column + np.arange(piece.columns)
         positions = ((n + 0.5) / ring.cell - start for n, start in zip((rows, columns), first, strict=True))
         return _interpolate(nodes, *positions)
@@ -192,6 +200,7 @@ class InsetBlend:
         """
         # Cells along a block, and of the margin, down and across.
         size, margin = BLOCK // ring.cell, [margin_rings * reach + 1 for reach in ring.reach]
+        # First and last cell of the window, rows and columns of cells from the grid's origin.
         first = piece.row // ring.cell - margin[0], piece.column // ring.cell - margin[1]
         last = piece.row + piece.rows - 1, piece.column + piece.columns - 1
         last = last[0] // ring.cell + margin[0], last[1] // ring.cell + margin[1]
@@ -200,8 +209,8 @@ class InsetBlend:
             block_marks = self._marks_of_block(row, column).get(level)
             if block_marks is None:
                 continue
-            pooled = _pool(block_marks, len(block_marks) // size)
-            # the block's first cell in the window, of which the block may have a part only
+            pooled = _pool(block_marks, len(block_marks) // size)  # stored cells are those of the finest ring
+            # the block's first cell, counted in the window; it is negative if the block begins outside
             top, left = row * size - first[0], column * size - first[1]
             window = cells[max(top, 0) : top + size, max(left, 0) : left + size]
             window[:] = pooled[max(-top, 0) :, max(-left, 0) :][: window.shape[0], : window.shape[1]]
@@ -210,7 +219,8 @@ class InsetBlend:
     def _marks_of_block(self, row: int, column: int) -> dict[int, np.ndarray]:
         """Return the marks of a block's cells by level, from the cache, its record or the files.
 
-        They are united over the samples of each cell. Levels without a mark in the block are left out.
+        They are united over the samples of each cell. Levels without a mark in the block are left out. row, column:
+        number of the block.
         """
         key = row, column
         if key not in self._cells:
@@ -237,12 +247,13 @@ class InsetBlend:
         return BLOCK // min(ring.cell for ring in self.rings[:level])
 
     def _find_marks(self, row: int, column: int) -> dict[int, np.ndarray]:
-        """Read a block's files; return its marks as `_marks_of_block`."""
+        """Read the files of the block (row, column), and return the marks of its cells by level, without empty ones."""
         by_level: dict[int, np.ndarray] = {}
         for piece, level, below, top in self._scan(row, column):
             marks = by_level.setdefault(level, np.zeros((BLOCK, BLOCK), self._kind))
             y, x = piece.row % BLOCK, piece.column % BLOCK
             marks[y : y + piece.rows, x : x + piece.columns] = self._marks(below.ranks, top.ranks)
+        # Unite the marks of samples in cells, of which a block has _side_of(level) along a side.
         pooled = {level: _pool(marks, BLOCK // self._side_of(level)) for level, marks in by_level.items()}
         return {level: marks for level, marks in pooled.items() if marks.any()}
 
@@ -256,7 +267,8 @@ class InsetBlend:
                 block = hashlib.blake2b(repr((key, sorted(marks))).encode(), digest_size=16)
                 for level in sorted(marks):
                     block.update(marks[level].tobytes())
-                self._digests[key] = block.digest() if marks else b""  # also beyond the extent
+                # Nothing without marks, as of blocks beyond the mosaic, so that its extent does not count.
+                self._digests[key] = block.digest() if marks else b""
             content.update(self._digests[key])
         return content.hexdigest()
 
@@ -266,8 +278,8 @@ class InsetBlend:
         The last bit is set where only this level has a value. below, top: ranks of the samples without this level and
         with it.
         """
-        marks = self._bits[below]
-        marks[top != below] = 0
+        marks = self._bits[below]  # the bit of the tile's level; 0 for the negative ranks, by the last two entries
+        marks[top != below] = 0  # this level has a value there
         marks[(below < 0) & (top >= 0)] = 1 << len(self.rings)
         return marks
 
@@ -275,15 +287,15 @@ class InsetBlend:
 def _ring(steps: np.ndarray) -> BlendRing:
     """Return the ring of insets on tiles with these steps, samples of the grid along x and y.
 
-    Its cell is a power of two, at most the shorter step and at most a block. Its axes differ by a factor of MAX_STRETCH
-    at most.
+    It is RING steps wide. Its cell is a power of two, so that whole cells fill a block, and at most the shorter step.
+    Its axes differ by a factor of MAX_STRETCH at most, which limits the number of cells across it.
     """
     shortest = min(float(steps.min()), float(BLOCK))
     across, down = (min(float(step), MAX_STRETCH * shortest) for step in steps)
     cell = 1
     while 2 * cell <= shortest:
         cell *= 2
-    return BlendRing(cell, (RING * down / cell, RING * across / cell))
+    return BlendRing(cell, width=(RING * down / cell, RING * across / cell))  # in cells
 
 
 def _widened(ring: BlendRing) -> BlendRing:
@@ -312,15 +324,14 @@ def _interpolate(nodes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.
 
 
 def find_widest(seams: np.ndarray, ring: BlendRing) -> np.ndarray:
-    """Return for each corner the largest distance to a seam among the corners within one ring, in widths of the ring.
+    """Return for each corner of cells the largest distance to a seam among all corners up to one ring's width away.
 
-    It is at most MAX_PART. The result is for the corners inside the margin.
-
-    seams: bool, cells with a seam, with a margin of MAX_PART + 1 rings and one cell.
+    It tells how wide the inset is there. It is in widths of the ring, at most MAX_PART. seams: bool, cells with a seam,
+    with a margin of MAX_PART + 1 rings and one cell, for which there is no result.
     """
     down, across = ring.reach
     near = _distances(_corners(seams), ring, limit=MAX_PART)
-    near = near[MAX_PART * down : -MAX_PART * down, MAX_PART * across : -MAX_PART * across]
+    near = near[MAX_PART * down : -MAX_PART * down, MAX_PART * across : -MAX_PART * across]  # those that are complete
     widest = sliding_window_view(near, 2 * down + 1, axis=0).max(axis=-1)
     return sliding_window_view(widest, 2 * across + 1, axis=1).max(axis=-1)
 
@@ -338,26 +349,30 @@ def ring_fractions(seams: np.ndarray, ends: np.ndarray, widest: np.ndarray, ring
     """
     down, across = ring.reach
     marks = _corners(seams), _corners(ends)
+    # Distances to a seam and to the end of the tiles below, in widths of the ring. The ring is never wider than their
+    # sum, so the fraction near / width rises to 1 where `beyond` is 0, and no step is there.
     near, beyond = (_distances(marked, ring, limit=1)[down:-down, across:-across] for marked in marks)
+    # It also takes at most one part in MAX_PART of the inset's half width `widest`.
     width = np.minimum(np.minimum(widest / MAX_PART, near + beyond), 1.0)
     return np.minimum(np.divide(near, width, out=np.zeros_like(near), where=width > 0.0), 1.0)
 
 
 def _corners(cells: np.ndarray) -> np.ndarray:
-    """Return which inner corners of cells belong to a marked one."""
+    """Return which corners between 2 x 2 cells touch a marked cell: bool, one row and one column fewer than cells."""
     rows = cells[:-1] | cells[1:]
     return rows[:, :-1] | rows[:, 1:]
 
 
 def _distances(marked: np.ndarray, ring: BlendRing, limit: int) -> np.ndarray:
     """Return the distance of corners to the nearest `marked` one, in widths of the ring; at most `limit` widths."""
-    # First along each row, then over rows: the squared distance is the sum of both.
+    # First along each row, then over rows: the squared distance is the sum of both. 2^30 columns away: none is marked.
     columns, far = np.arange(marked.shape[1]), float(limit * limit)
     before = np.maximum.accumulate(np.where(marked, columns, -(1 << 30)), axis=1)
     after = np.minimum.accumulate(np.where(marked, columns, 1 << 30)[:, ::-1], axis=1)[:, ::-1]
     along = np.minimum(columns - before, after - columns) / ring.width[1]
     squares = np.minimum(along * along, far)
     nearest = squares.copy()
+    # A mark in another row, up to `limit` widths above or below, may be nearer.
     for row in range(1, min(int(np.ceil(limit * ring.width[0])), len(marked) - 1) + 1):
         down = row / ring.width[0]
         np.minimum(nearest[row:], squares[:-row] + down * down, out=nearest[row:])

@@ -68,7 +68,8 @@ class TileLattice:
 def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return columns and rows of positions, by the inverse of the steps.
 
-    origin: position of sample (0, 0). x, y: the positions.
+    origin: position of sample (0, 0). steps: (a, b, d, e), of which a column adds (a, d) to a position, a row (b, e).
+    x, y: the positions.
     """
     (a, b, d, e), dx, dy = steps, x - origin[0], y - origin[1]
     if b == d == 0.0:
@@ -87,7 +88,7 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
         groups.setdefault(_key(tile), []).append(number)
     lattices = []
     for numbers in groups.values():
-        while numbers:
+        while numbers:  # a group may hold several lattices: take that of its first tile
             first = tiles[numbers[0]]
             offsets = {n: offset for n in numbers if (offset := _offset_of(first, tiles[n])) is not None}
             lattices.append(_lattice(tiles, offsets))
@@ -98,7 +99,8 @@ def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
 def _key(tile: SourceTile) -> tuple:
     """Return what tiles of one lattice have in common: system, steps, and where in a cell their first samples are.
 
-    Cosines of the fractions of a cell are compared, because one fraction may be close to 0 and another close to 1.
+    It only groups tiles, so that few are compared by `_offset_of`; hence the rounding. Cosines stand for the fractions
+    of a cell, because one fraction may be close to 0 and another close to 1.
     """
     a, b, c, d, e, f = tile.transform
     x, y = tile.position(0, 0)
@@ -121,19 +123,24 @@ def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | 
     if not (np.isfinite(u).all() and np.isfinite(v).all()) or max(abs(u[0]), abs(v[0])) > 2.0**30:
         return None
     column, row = round(float(u[0])), round(float(v[0]))
+    # the largest distance, along columns or rows, of three corner samples (i, j) from their places in the lattice
     deviation = max(float(max(abs(u[k] - column - i), abs(v[k] - row - j))) for k, (i, j) in enumerate(corners))
     return (column, row, deviation) if deviation <= MAX_OFF_GRID else None
 
 
 def _lattice(tiles: Sequence[SourceTile], offsets: dict[int, tuple[int, int, float]]) -> TileLattice:
-    """Return the lattice of the tiles numbered in `offsets`, with their `_offset_of` in the lattice of the first."""
+    """Return the lattice of the tiles numbered in `offsets`.
+
+    offsets: by tile, the column and row of its first sample in the lattice of the first tile, and its distance from
+    there in samples.
+    """
     first = tiles[next(iter(offsets))]
     a, b, _, d, e, _ = first.transform
     rectangles = [
         (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1) for n, (column, row, _) in offsets.items()
     ]
     deviation = max(offset for _, _, offset in offsets.values())
-    period = period_of(first.crs) / a if d == 0.0 else 0.0
+    period = period_of(first.crs) / a if d == 0.0 else 0.0  # columns in 360 degrees, if rows are parallels
     return TileLattice(
         crs=first.crs,
         origin=first.position(0, 0),

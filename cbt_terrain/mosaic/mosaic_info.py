@@ -40,12 +40,15 @@ def child_main() -> None:
 
 
 def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
-    """Return the report, in a child process that first gives up its rights."""
+    """Return the report, in a child process that first gives up its rights.
+
+    request: the settings. A further argument, the function of `serve` that starts its thread, is not used.
+    """
     settings, scratch = ImportSettings(**request["settings"]), Path(tempfile.gettempdir())
     if not has_several(settings):
         return describe_alone(settings)
     check_settings(settings)
-    folder = scratch if has_archives(settings) else None
+    folder = scratch if has_archives(settings) else None  # the only one in which it may write, for unpacked files
     guard_import(settings, folder, paths_of(settings))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:

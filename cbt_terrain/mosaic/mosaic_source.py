@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A mosaic as one raster for an import, opened from headers alone."""
+"""A mosaic as one raster for an import, opened from headers alone.
+
+A Composite has the files (tiles) of a mosaic in the order of their priority, and returns heights on the target grid.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -34,7 +37,7 @@ def open_composite(
     on_progress: Callable[[float], None] = lambda _fraction: None,
     unpacked: UnpackedFiles | None = None,
 ) -> Composite:
-    """Open the mosaic of the settings' sources; the caller closes it. Raises TerrainError.
+    """Open the mosaic of the settings' sources, as heights on one grid; the caller closes it. Raises TerrainError.
 
     If its finer files cover little, the composite has the grid of the coarser ones, and `finer` has the finer tiles. A
     quick import does so only if a complete one takes little longer; otherwise the composite has the finest grid, and
@@ -49,8 +52,10 @@ def open_composite(
     grid = choose_grid(tiles, settings)
     tile_footprints = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
+    # A step of the settings holds everywhere, so there are no finer tiles then.
     plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes) if settings.step is None else None
-    # `quick` is the number of samples of a quick import, 0 for a complete one.
+    # `quick` is the number of samples of a quick import, 0 for a complete one. Up to WORTHWHILE times as many samples
+    # are soon imported completely; plan.work is the number of samples whose import takes as long as the plan's.
     is_quick_enough = plan is not None and (not settings.quick or plan.work <= WORTHWHILE * settings.quick)
     if plan is None or not is_quick_enough:
         whole.finest = plan
@@ -79,7 +84,12 @@ def georeference_of(grid: TargetGrid) -> Georeference:
 
 
 def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
-    """Return a composite as the raster of an import."""
+    """Return a composite as the raster of an import.
+
+    While it is read, its `moved` and `shifted` keep the largest errors of interpolated positions and of conversions
+    between vertical datums. If few of the composite's files are finer than the others, `finest` (on a raster of the
+    finer step) or `finer` (on one of the coarser step) says where these are.
+    """
     grid = composite.grid
     file_grid = FileGrid(crs_of(grid.crs) if grid.crs else None, grid.transform)
     grids = composite.shifts.grids(composite.tiles) if composite.shifts is not None else []
@@ -104,7 +114,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         ],
         details=_surface_entry(composite),
         sources=(*(archive_of(Path(entry[0])) for tile in composite.tiles for entry in tile.files), *grids),
-        method=BLENDING if composite.insets else 0,
+        method=BLENDING if composite.insets else 0,  # 0: older versions made the same samples
         inputs=composite.inputs_of if min(grid.width, grid.height) > 1 else None,  # a single line is read by rows
         close=composite.close,
     )
@@ -127,6 +137,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     def pick(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Read single samples, and note in the report if they are of overviews."""
         values = nearest_samples(composite, rows, columns)
+        # Single samples are spread over the whole grid, so the error of any of its files counts.
         raster.shifted = composite.shift_error(row=0, rows=grid.height, column=0, columns=grid.width)
         raster.details.update(FROM_OVERVIEWS if composite.reads_overviews else {})
         return values
@@ -135,9 +146,11 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
     if composite.finest is not None:  # the raster has the finest step everywhere
         raster.finest = FinerSource(composite.finest.bits, composite.finest.boxes, window)
     if composite.finer is not None:  # the raster has the step of the coarser files
-        plan, whole = composite.finer
-        finer_window = partial(read_window, whole)
-        raster.finer = FinerSource(plan.bits, plan.boxes, finer_window, whole.inputs_by_seams, whole.keep_seams)
+        plan, all_files = composite.finer  # all_files: another composite, on the finest grid
+        finer_window = partial(read_window, all_files)
+        raster.finer = FinerSource(
+            plan.bits, plan.boxes, finer_window, inputs=all_files.inputs_by_seams, keep_seams=all_files.keep_seams
+        )
     return raster
 
 

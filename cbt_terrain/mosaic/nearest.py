@@ -27,7 +27,7 @@ def nearest_samples(composite: Composite, rows: np.ndarray, columns: np.ndarray)
     grid = composite.grid
     rows, columns = grid.row + rows, grid.column + columns
     heights = np.full((len(rows), len(columns)), np.nan)
-    stride = float(np.diff(columns).max(initial=1))
+    stride = float(np.diff(columns).max(initial=1))  # largest step between wanted samples, in samples of the grid
     for rank, box in enumerate(composite.near):
         across = slice(*np.searchsorted(columns, [box[0], box[2]]))
         down = slice(*np.searchsorted(rows, [box[1], box[3]]))
@@ -54,7 +54,7 @@ def _fill(composite: Composite, rank: int, x: np.ndarray, y: np.ndarray, stride:
     u, v = u[inside].astype(np.int64), v[inside].astype(np.int64)
     samples = _samples(composite, rank, u, v, stride)
     has_height = np.isfinite(samples)
-    inside[inside] = has_height
+    inside[inside] = has_height  # now only positions whose sample has a height
     heights[inside] = samples[has_height]
 
 
@@ -66,6 +66,7 @@ def _samples(composite: Composite, rank: int, u: np.ndarray, v: np.ndarray, stri
     """
     tile, small = composite.tiles[rank], None
     if composite.grid.width * composite.grid.height > MAX_UNPACKED:
+        # ROUNDING: a quotient just below a whole number counts as that number.
         small = composite.overview_of(rank, max_factor=int(stride / FINER + ROUNDING))
     if small is None:
         return _read(lambda *window: composite.tile_window(rank, *window), u, v)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Positions of a target grid's samples in the lattice of its sources.
 
-PROJ computes them at nodes of the grid, and between nodes they are interpolated. Nodes belong to blocks at fixed
-places, and each block is computed as a whole, so a position does not depend on the window that is read.
+PROJ computes them at nodes of the grid, and between nodes they are interpolated. Nodes belong to blocks of BLOCK x
+BLOCK samples at fixed places, and each block is computed as a whole, so a position does not depend on the window that
+is read. A lattice is the grid that the samples of some files share; its columns are u, its rows v.
 """
 
 import numpy as np
@@ -20,13 +21,16 @@ def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> B
     """Return where samples of a block of the grid are in a lattice, at nodes evenly spread over the block.
 
     (column, row): number of the block, whose first sample is (column, row) * BLOCK. In the grid's own system positions
-    are linear, so the corners of the block are its nodes.
+    are linear, so the corners of the block are its nodes. Elsewhere nodes have the widest of SPACINGS whose positions
+    are exact enough in between. Errors, in samples of the lattice, include SNAPPED, the distance within which a
+    position is moved to a sample, and `off_grid`, that of the tiles' samples from the lattice's.
     """
     if lattice.crs == grid.crs:
         error = lattice.off_grid + (0.0 if is_congruent(lattice, grid) else SNAPPED)
-        return BlockNodes(*_exact(lattice, grid, column, row, BLOCK), BLOCK, error, error)
+        u, v = _exact(lattice, grid, column, row, step=BLOCK)
+        return BlockNodes(u, v, spacing=BLOCK, error_u=error, error_v=error)
     for spacing in SPACINGS:
-        exact_u, exact_v = _exact(lattice, grid, column, row, spacing // 2)
+        exact_u, exact_v = _exact(lattice, grid, column, row, spacing // 2)  # nodes, and points halfway to measure at
         error_u, error_v = interpolation_error(exact_u), interpolation_error(exact_v)
         u, v = exact_u[::2, ::2], exact_v[::2, ::2]
         if max(error_u, error_v) <= MAX_ERROR:
@@ -35,6 +39,7 @@ def nodes_of(lattice: TileLattice, grid: TargetGrid, column: int, row: int) -> B
         spacing, u, v, error_u, error_v = 1, exact_u, exact_v, 0.0, 0.0
     more = lattice.off_grid + SNAPPED
     u, v = np.ascontiguousarray(u), np.ascontiguousarray(v)
+    # MARGIN: the error elsewhere in a cell over that at the measured points.
     return BlockNodes(u, v, spacing, MARGIN * error_u + more, MARGIN * error_v + more)
 
 
@@ -49,7 +54,8 @@ def is_congruent(lattice: TileLattice, grid: TargetGrid) -> bool:
     ratios = grid.step_x / abs(a), grid.step_y / abs(e)
     corners = np.array([grid.column, grid.column + grid.width]), np.array([grid.row, grid.row + grid.height])
     deviations = [np.abs(w - np.round(w)).max() for w in lattice.indices(*grid.positions(*corners))]
-    are_whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)
+    are_whole = all(ratio > 0.5 and abs(ratio - round(ratio)) < SNAPPED for ratio in ratios)  # numbers 1, 2, ...
+    # Half of SNAPPED: with the rounding of positions in between, each still counts as a sample.
     return are_whole and max(deviations) < SNAPPED / 2
 
 
@@ -65,6 +71,7 @@ def _exact(lattice: TileLattice, grid: TargetGrid, column: int, row: int, step: 
     circle = period_of(lattice.crs)
     if circle:
         middle_of_tiles = lattice.rectangles[:, [0, 2]].mean(), lattice.rectangles[:, [1, 3]].mean()
+        # longitudes of the middle of all tiles, and of the block's middle node
         tiles_middle, block_middle = float(lattice.positions(*middle_of_tiles)[0]), float(x[len(x) // 2])
         block_middle = block_middle if np.isfinite(block_middle) else tiles_middle
         if lattice.crs != grid.crs:  # the grid's own longitudes are continuous

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The report on a mosaic before it is imported: grid, coverage, seams, edges, datums, time and disk space."""
+"""The report on a mosaic before it is imported: grid, coverage, seams, edges, datums, time and disk space.
+
+A Composite has the files (tiles) of a mosaic in the order of their priority, and returns heights on the target grid.
+"""
 
 import time
 from collections import Counter
@@ -28,7 +31,7 @@ FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the on
 MEASURED_POINTS = 64  # along each axis; a window's middle is one of them
 MAX_KINDS = 12
 # Of the samples' distance: a larger median step between files that meet is no relief along a whole border.
-STEP_PART = 0.2
+STEP_FRACTION = 0.2
 # Entries that the report of an import has, too; it has its own sizes.
 SEAM_NAMES = ("s", "s_compared", "_samples", "_median_m", "_max_m", "_max_at", "_max_between")
 EDGE_NAMES = ("s", "s_compared", "_median_m", "_max_m", "_max_at", "_max_between")
@@ -42,10 +45,11 @@ IMPORT_ENTRIES = (
 def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
     """Return the report on a mosaic as JSON. Lengths are metres, coordinates those of its system."""
     grid, place = composite.grid, georeference_of(composite.grid)
+    # x and y of the first and of the last sample, as arrays of one
     west, north = grid.positions(np.array([grid.column]), np.array([grid.row]))
     last = grid.positions(np.array([grid.column + grid.width - 1]), np.array([grid.row + grid.height - 1]))
     overlap, gap = coverage(composite)
-    scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)
+    scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)  # further, on the composite's metres
     edges = find_edges(composite)
     return {
         "files": len(composite.tiles),
@@ -77,10 +81,11 @@ def coverage(composite: Composite) -> tuple[float, float]:
     columns = np.linspace(grid.column, grid.column + grid.width - 1, COVERAGE_POINTS)
     rows = np.linspace(grid.row, grid.row + grid.height - 1, COVERAGE_POINTS)
     x, y = grid.positions(*np.meshgrid(columns, rows))
-    counts = np.zeros(x.shape, np.int32)
+    counts = np.zeros(x.shape, np.int32)  # files that cover each point
     for lattice in composite.lattices:
         positions = projected(grid.crs, lattice.crs, x.ravel(), y.ravel())
         for number, rank in enumerate(lattice.tiles):
+            # Test only points in the file's box with a margin: lowest column and row of the grid, and highest ones.
             box = composite.near[rank]
             across = slice(*np.searchsorted(columns, [box[0], box[2]]))
             down = slice(*np.searchsorted(rows, [box[1], box[3]]))
@@ -112,8 +117,8 @@ def edge_warnings(edges: StepReport, scale: float, step: float) -> list[str]:
 
     scale: factor on the heights, by the settings. step: distance between samples, metres.
     """
-    sizes = np.abs(edges.steps) * scale
-    is_large = sizes > STEP_PART * step
+    sizes = np.abs(edges.steps) * scale  # one step for each pair of `names`
+    is_large = sizes > STEP_FRACTION * step
     if not is_large.any():
         return []
     worst, count = int(np.argmax(sizes)), int(is_large.sum())
@@ -131,7 +136,7 @@ def _kinds(composite: Composite) -> list[str]:
     """Return a line for each of the MAX_KINDS commonest kinds of file (system, step, type), and one for the others."""
     counts: Counter = Counter()
     for tile in composite.tiles:
-        unit = unit_of(crs_of(tile.crs)) if tile.crs else {}
+        unit = unit_of(crs_of(tile.crs)) if tile.crs else {}  # a dict with the key "degrees" for such a unit
         step = " x ".join(f"{abs(s):.6g}" for s in tile.position(1, 1) - np.array(tile.position(0, 0)))
         counts[f"{tile.crs or 'no system'}, steps of {step}{'°' if 'degrees' in unit else ''}, {tile.stored}"] += 1
     lines = [f"{count:,} of {shown(kind)}" for kind, count in counts.most_common(MAX_KINDS)]
@@ -160,7 +165,7 @@ def _edges(edges: StepReport, scale: float) -> dict:
 def _figures(kind: str, found: StepReport, scale: float) -> dict:
     """Return the median of steps between files, and the largest step with its place and files: entries `<kind>_...`.
 
-    {} without a step. scale: factor on the heights.
+    {} without a step. scale: factor on the heights. found: its `numbers` are the index in `names` of each step's files.
     """
     if not len(found.steps):
         return {}
@@ -184,7 +189,7 @@ def _finer_tiles(composite: Composite) -> dict:
 
 
 def _expected_bytes(composite: Composite) -> int:
-    """Return the room that an import takes on the disk, bytes, with that of unpacked files."""
+    """Return the bytes that an import takes on the disk, with those of unpacked files."""
     lattice = fit(max(composite.grid.width, 2), max(composite.grid.height, 2))
     unpacked = sum(
         int(tile.width * tile.height * np.dtype(tile.stored).itemsize)
@@ -201,7 +206,7 @@ def _expected_seconds(composite: Composite) -> float:
     """Return the expected time of an import: that of measured windows, times the samples that each stands for."""
     # With finer tiles, the plan has the samples of a raster without them that takes as long.
     samples = composite.grid.width * composite.grid.height if composite.finer is None else composite.finer[0].work
-    seconds = add_up(part * _seconds_at(composite, *middle) for part, middle in measured_parts(composite))
+    seconds = add_up(fraction * _seconds_at(composite, *middle) for fraction, middle in measured_parts(composite))
     return float(f"{seconds * samples:.2g}")
 
 
@@ -214,15 +219,16 @@ def _seconds_at(composite: Composite, column: float, row: float) -> float:
         top = int(np.clip(row - height / 2, 0, grid.height - height))
         started = time.perf_counter()
         heights, _ = composite.read(top, height, left, width)
-        from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))
+        from_array(np.nan_to_num(heights, posinf=0.0, neginf=0.0).astype(np.float32))  # builds a field, for its time
     return (time.perf_counter() - started) / (width * height)
 
 
 def measured_parts(composite: Composite) -> list[tuple[float, tuple[float, float]]]:
-    """Return the fractions of the extent that take different times a sample, and a column and row in each.
+    """Return the parts of the extent whose samples take different times: fraction of the extent, and a column and row.
 
-    They are the extent without finer files on coarser ones, and that of these files, where a sample takes several times
-    as long to be blended. Without finer files, the extent is one part.
+    A sample where finer files are on coarser ones takes several times as long, because it is blended. So the ground of
+    finer files is one part, measured in the middle of the largest one. The other part is the rest, measured where some
+    file is, as far from finer ones as possible. Without finer files, the extent is one part.
     """
     grid = composite.grid
     if composite.insets is None:
@@ -231,20 +237,21 @@ def measured_parts(composite: Composite) -> list[tuple[float, tuple[float, float
     columns = np.linspace(0, grid.width - 1, MEASURED_POINTS)
     rows = np.linspace(0, grid.height - 1, MEASURED_POINTS)
     finer = boxes[composite.levels > 0]
+    # Of evenly spread points: distances from the nearest finer file, and whether any file is there.
     distances, is_covered = _box_distances(finer, columns, rows), _box_distances(boxes, columns, rows) == 0.0
-    part = float(np.mean(distances[is_covered] == 0.0))
+    fraction = float(np.mean(distances[is_covered] == 0.0))
     farthest = np.unravel_index(np.argmax(np.where(is_covered, distances, -1.0)), distances.shape)
     largest = finer[np.argmax((finer[:, 2:] - finer[:, :2]).prod(axis=1))]
     middle = float(largest[[0, 2]].mean()), float(largest[[1, 3]].mean())
-    parts = [(1.0 - part, (float(columns[farthest[1]]), float(rows[farthest[0]]))), (part, middle)]
+    parts = [(1.0 - fraction, (float(columns[farthest[1]]), float(rows[farthest[0]]))), (fraction, middle)]
     return [found for found in parts if found[0] > 0.0]
 
 
 def _box_distances(boxes: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Return the distance of points of a grid to the nearest box, along the axis on which it is larger.
+    """Return the Chebyshev distance of points to the nearest box (the larger one of columns and rows), 0 inside.
 
-    boxes: float64 [n, 4], first column and row and last ones. columns, rows: those of the points; every row is combined
-    with every column.
+    The result is [rows, columns]. boxes: float64 [n, 4], first column and row and last ones. columns, rows: those of
+    the points; every row is combined with every column.
     """
     nearest = np.full((len(rows), len(columns)), np.inf)
     for left, top, right, bottom in boxes:

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marks of seams (bits, insets.py) of an earlier import: to find them, all files around have to be read."""
+"""Marks of seams of an earlier import: to find them, all files around have to be read.
+
+A seam is where a finer file ends on a coarser one. Marks are bits that tell the seams in each square cell of a block of
+the grid; each level of finer files has its own (insets.py).
+"""
 
 import zlib
 from collections.abc import Callable
@@ -37,7 +41,8 @@ class SeamRecords(NamedTuple):
             for level, text in record["marks"].items():
                 count = side(int(level))
                 decoder = zlib.decompressobj()
-                data = decoder.decompress(bytes.fromhex(text), count * count * kind.itemsize)
+                # At most the bytes of the marks, whatever a damaged record would unpack to.
+                data = decoder.decompress(bytes.fromhex(text), max_length=count * count * kind.itemsize)
                 marks[int(level)] = np.frombuffer(data, kind).reshape(count, count)
         except (ValueError, zlib.error):  # the record is damaged
             return None

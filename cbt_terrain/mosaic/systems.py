@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..rasters.file_grid import find_positions
 
-# Names of vertical datums by EPSG code; others have the name of their system.
+# Names of vertical datums by EPSG code of their system; others have the name that PROJ gives.
 DATUMS = {5773: "EGM96", 5171: "EGM84", 5798: "EGM84", 3855: "EGM2008", 5703: "NAVD88", 6360: "NAVD88", 8228: "NAVD88"}
 ELLIPSOID = "the ellipsoid"
 
@@ -53,6 +53,7 @@ def _names_of(wkt: str) -> tuple[str, str]:
     if content.get("type") == "CompoundCRS":
         plane, vertical = content["components"][:2]
         return CRS.from_user_input(json.dumps(plane)).to_string(), _datum_name(vertical)
+    # With a third axis, heights above the ellipsoid are part of the system itself.
     axes = content.get("coordinate_system", {}).get("axis", ())
     return crs.to_string(), ELLIPSOID if len(axes) == 3 else ""
 

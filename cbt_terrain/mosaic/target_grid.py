@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.lattice import SIDE_BITS, fit
 from ..rasters.file_grid import unit_lengths
-from ..rasters.raster import ImportSettings
+from ..rasters.raster import NEWEST, RESOLUTION, ImportSettings
 from ..rasters.reproject import utm_zone
 from ..view.linear import length
 from .catalogue import SourceTile
@@ -78,6 +78,7 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     """
     crs = _target_crs(tiles, settings)
     tile_footprints = footprints(tiles, crs)
+    # The smallest cell; among equal ones a tile in the grid's system, then the first.
     finest = min(
         range(len(tiles)),
         key=lambda n: (tile_footprints.steps[n, 0] * tile_footprints.steps[n, 1], tiles[n].crs != crs, n),
@@ -86,10 +87,10 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     low, high = tile_footprints.boxes[:, :2].min(axis=0), tile_footprints.boxes[:, 2:].max(axis=0)
     step_x, step_y = map(float, tile_footprints.steps[finest])
     metres_x, metres_y = unit_lengths(crs_of(crs) if crs else None, float(low[1] + high[1]) / 2)
-    if settings.step is not None:
+    if settings.step is not None:  # in metres; steps of the grid are in units of its system
         _check_step(settings.step, (high - low) * (metres_x, metres_y))
         step_x, step_y = settings.step / metres_x, settings.step / metres_y
-    x0, y0 = (0.0, 0.0)
+    x0, y0 = (0.0, 0.0)  # where column 0 and row 0 of the grid are: a sample of the reference if the steps fit
     if reference is not None and (settings.step is None or _divides(reference, step_x, step_y)):
         x0, y0 = reference.position(0, 0)
         if settings.step is None:
@@ -100,6 +101,7 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
     if not np.abs(numbers).max() < MAX_INDEX:
         what = f"Steps of {step_x:g} x {step_y:g} are too small for coordinates in {shown(crs, 80)}"
         raise TerrainError(what, fix="give a larger --step")
+    # The samples inside the extent; one on its border counts, however the number is rounded (ALIGNED).
     column, row = (math.ceil(number - ALIGNED) for number in numbers[:2].tolist())
     end_column, end_row = (math.floor(number + ALIGNED) for number in numbers[2:].tolist())
     width, height = max(end_column - column, 0) + 1, max(end_row - row, 0) + 1
@@ -111,16 +113,17 @@ def choose_grid(tiles: Sequence[SourceTile], settings: ImportSettings) -> Target
 def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
     """Return the boxes and steps of tiles in a system. Raises TerrainError for a tile that has no place there.
 
-    The middles of tiles are within 180 degrees of the first one's, or of one of more than half the globe, so tiles on
-    both sides of the date line are neighbours. crs: name of the system.
+    Boxes are moved by whole turns of longitude, so that their middles are within 180 degrees of the first one's. If the
+    widest box has more than half the globe, it takes the place of the first. So tiles on both sides of the date line
+    are neighbours. crs: name of the system.
     """
     boxes, steps = np.empty((len(tiles), 4)), np.empty((len(tiles), 2))
     period = period_of(crs)
     for name in dict.fromkeys(tile.crs for tile in tiles):
         numbers = [n for n, tile in enumerate(tiles) if tile.crs == name]
-        points = np.stack([_outline(tiles[n]) for n in numbers])  # [tiles, 2, points]
+        points = np.stack([_outline(tiles[n]) for n in numbers])  # [tiles, 2 (x, y in their system), points]
         x, y = projected(name, crs, points[:, 0].ravel(), points[:, 1].ravel())
-        back_x, back_y = projected(crs, name, x, y)
+        back_x, back_y = projected(crs, name, x, y)  # should be `points` again, else the tile has no place in `crs`
         x, y = x.reshape(points[:, 0].shape), y.reshape(points[:, 0].shape)
         back = np.stack([back_x.reshape(x.shape), back_y.reshape(x.shape)], axis=1)
         for row, n in enumerate(numbers):
@@ -130,12 +133,24 @@ def footprints(tiles: Sequence[SourceTile], crs: str) -> Footprints:
             border_x, border_y = x[row, :-3], y[row, :-3]  # the last three points give the steps
             boxes[n] = border_x.min(), border_y.min(), border_x.max(), border_y.max()
             steps[n] = _steps(x[row, -3:], y[row, -3:])
-    if period:
+    if period:  # move the boxes by whole turns to the anchor, the middle of the first or of a very wide one
         middles, widths = (boxes[:, 0] + boxes[:, 2]) / 2, boxes[:, 2] - boxes[:, 0]
         anchor = middles[np.argmax(widths) if widths.max() > period / 2 else 0]
         turns = np.round((middles - anchor) / period - ALIGNED)  # tiles at 180 degrees are all in the east
         boxes[:, [0, 2]] -= period * turns[:, None]
     return Footprints(boxes, steps)
+
+
+def rank_tiles(tiles: Sequence[SourceTile], footprints: Footprints, settings: ImportSettings) -> np.ndarray:
+    """Return the numbers of tiles in ascending order of their priority; of equal ones the later is higher.
+
+    footprints: boxes and steps of the tiles.
+    """
+    if settings.priority == RESOLUTION:
+        return np.argsort(-(footprints.steps[:, 0] * footprints.steps[:, 1]), kind="stable")
+    if settings.priority == NEWEST:
+        return np.argsort([tile.changed_ns for tile in tiles], kind="stable")
+    return np.arange(len(tiles))
 
 
 def _outline(tile: SourceTile) -> np.ndarray:
@@ -239,7 +254,8 @@ def _check_size(width: int, height: int, step_x: float, step_y: float) -> None:
     """
     if min(width, height) < 2 or fit(width, height).is_addressable:
         return
-    low, high = 1.0, float(max(width, height))  # factors on the step: too fine, and coarse enough
+    # Find by bisection the smallest factor on the step whose grid a store can address (`fit` is its lattice).
+    low, high = 1.0, float(max(width, height))  # factors: too fine, and coarse enough
     while high > 1.01 * low:
         factor = math.sqrt(low * high)
         size = max(math.ceil(width / factor), 2), max(math.ceil(height / factor), 2)

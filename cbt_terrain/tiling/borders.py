@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Diamonds that depend on several tiles: their values follow from their children, from fine to coarse.
 
-Values are codes. The entries of a coarser group's table are entries of a finer one's (codes.py), so the code of a
-maximum of errors is the code of the maximum of their codes' metres.
+A diamond is named by its vertex, the sample that splits it. Values are codes: bytes, each the index of an error in
+metres in a table of 256. Two levels of vertices are a group and share a table, 2^exponent metres at its largest; the
+raster's cells have the last table. The entries of a coarser group's table are entries of a finer one's (codes.py), so
+the code of a maximum of errors is the code of the maximum of their codes' metres.
+
+`grid`: the tiles of the whole raster. An array of the raster is passed as a function that maps it anew for each part of
+the work, because pages that were touched count as memory of the process.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +41,8 @@ def shared_vertices(grid: TileGrid, level: int, is_centre: bool) -> Iterator[Lat
     samples. is_centre: the vertices are centres of such cells, otherwise middles of their sides.
     """
     half = 1 << level
-    # beyond the raster, a few vertices of the padding have entries, too
+    # `lines`: blocks of vertices, each the coordinates (x, y) of its columns and rows. Beyond the raster, vertices of
+    # up to two more cells (of 2 * half samples) have entries, too, as far as its root squares reach (`span`).
     ends = [min(cells + 4 * half, span) + 1 for cells, span in zip(_cells(grid), grid.lattice.span, strict=True)]
     along = [np.arange(0, end, half) for end in ends]
     if 2 * half > grid.side or (is_centre and 2 * half == grid.side):
@@ -66,8 +72,9 @@ def children_of(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield, for each of the up to four children of diamonds, its entries in the array, and which vertices have it.
 
-    lattice: that of the array. vertices: split vertices of the diamonds. is_centre: they are centres of cells,
-    otherwise middles of their sides.
+    The children of the diamond at a cell's centre are those of its four sides. The children of a side's diamond are
+    those at the centres of the four cells of half that size around the side's middle. lattice: that of the array.
+    vertices: split vertices of the diamonds. is_centre: they are centres of cells, otherwise middles of their sides.
     """
     x, y, level = vertices
     half = 1 << level
@@ -76,7 +83,7 @@ def children_of(
             child = LatticeVertices(x + dx, y + dy, level)
             yield entries_of(lattice, child), exist(lattice, child)
     else:
-        for right, up in ((-1, -1), (0, -1), (-1, 0), (0, 0)):
+        for right, up in ((-1, -1), (0, -1), (-1, 0), (0, 0)):  # the cell before (-1) or after (0) the middle, by axis
             if level == 0:  # the children are single cells
                 i, j = x + right, y + up
                 columns, rows = lattice.extent(lattice.cell_depth)
@@ -132,7 +139,7 @@ def raise_errors(
             if kinds is not None:
                 both = kinds()[entries] == GROUND_AND_HOLE
                 metres[both] = np.maximum(metres[both], np.float32(longest(level, is_centre)))
-            stored[entries] = np.searchsorted(code_metres, metres, side="left")
+            stored[entries] = np.searchsorted(code_metres, metres, side="left")  # the smallest code that is not below
 
 
 def unite_ranges(grid: TileGrid, opened: Opened) -> None:
@@ -140,8 +147,10 @@ def unite_ranges(grid: TileGrid, opened: Opened) -> None:
 
     The finest vertices are complete already. grid: tiles of the whole raster. opened: maps the ranges of the raster.
     """
-    half = halved(grid)
-    flip = np.array([65535, 0], np.uint16)  # so that the larger number is the wider one
+    half = halved(grid)  # every other sample has a range
+    # A range is the numbers of the lowest and the highest height. This inverts the lowest, so that the maximum of both
+    # numbers is the union, and (0, 0) the empty range.
+    flip = np.array([65535, 0], np.uint16)
     for level, is_centre in pass_depths(half):
         if not level and not is_centre:
             continue  # they are complete in each tile
@@ -168,38 +177,42 @@ def join_borders(
     tables: Callable[[int], np.ndarray],
     unite: np.ufunc = np.maximum,
 ) -> None:
-    """Write the values of vertices near the borders of tiles; `unite` decides about those of several tiles.
+    """Write the values of vertices near the borders of tiles into the array of the raster.
 
-    They are set to 0 before any tile's values are united with them.
+    A vertex near several tiles gets the values of all of them, united by `unite`: the maximum of codes of errors, or
+    `np.bitwise_or` of kinds, flags for ground and hole. Vertices are set to 0 before.
 
     Args:
-        tiles: their numbers, and functions that return their values, uint8 as `TileErrors.border`.
+        tiles: their numbers, and functions that return their values, uint8, one for each vertex of
+            `TileGrid.near_border`.
         opened: maps the array of the raster.
-        tables: tables(number) returns the table of 256 by group with which a tile's values are translated.
+        tables: tables(number) returns the values of the raster for a tile's values, uint8 [groups + 1, 256].
     """
     for is_first in (True, False):
         for number, values in tiles:
+            # A tile at the raster's border lacks some vertices of `TileGrid.near_border`: `exists` is False there.
             exists, vertices = near_vertices(grid, number)
             whole, entries = opened(), entries_of(grid.lattice, vertices)
             if is_first:
                 whole[entries] = 0
             else:
+                # Tables have a row for each group of two levels.
                 translated = tables(number)[np.asarray(vertices.level) // 2, values()[exists]]
                 whole[entries] = unite(whole[entries], translated)
 
 
 def write_large(grid: TileGrid, large: Sequence[LargeError], table: np.ndarray, opened: Opened) -> None:
-    """Write the errors of diamonds of cells as large as a tile, each the largest over all tiles.
+    """Write the errors of diamonds of cells as large as a tile or larger, each the largest over all tiles.
 
-    large: these errors over single tiles. table: metres of the codes, float32 [groups, 256]. opened: function that maps
-    the codes of the terrain.
+    A level has cells of 2^(level + 1) samples, so tiles are the cells of level bits - 1. large: these errors over
+    single tiles. table: metres of the codes, float32 [groups, 256]. opened: function that maps the codes of the
+    terrain.
     """
     for level in range(grid.bits - 1, grid.lattice.levels):
-        parts = [*shared_vertices(grid, level, is_centre=True)]
-        parts += [*shared_vertices(grid, level, is_centre=False)] if level >= grid.bits else []
         stored = opened()
-        if level >= grid.bits:  # `join_borders` has written the centres of tiles
-            for vertices in parts:
+        # Vertices are set to 0 before, except the centres of tiles, which `join_borders` has written.
+        for is_centre in (True, False) if level >= grid.bits else ():
+            for vertices in shared_vertices(grid, level, is_centre):
                 stored[entries_of(grid.lattice, vertices)] = 0
         chosen = [item for item in large if item.level == level]
         if chosen:
@@ -213,10 +226,10 @@ def write_large(grid: TileGrid, large: Sequence[LargeError], table: np.ndarray, 
 
 
 def tables_between(before: Sequence[int], wanted: Sequence[int]) -> np.ndarray:
-    """Return for each group the code under its new exponent of each old code: uint8 [groups, 256].
+    """Return tables from old codes to new ones, uint8 [groups, 256], where the groups' tables of metres change.
 
-    before, wanted: exponents of the groups; none becomes smaller.
-    The entries of the new tables are entries of the old ones, so rounding twice is rounding once.
+    before, wanted: old and new exponents of these tables; none becomes smaller. The entries of the new tables are
+    entries of the old ones, so rounding twice is rounding once.
     """
     pairs = zip(codes.tables(before), codes.tables(wanted), strict=True)
     return np.array([np.searchsorted(new, old, side="left") for old, new in pairs], np.uint8)

@@ -7,7 +7,8 @@ coarser store's own errors above its cells this is a nested function on all diam
 are not near a loaded one, and is the lower limit of all others, so the errors of all tiles together are nested.
 
 A level has the diamonds that are split at the centres, and at the middles of the sides, of cells with 2^(level + 1)
-samples a side.
+samples a side. Two levels are a group. An array of errors has an image of each group: one entry for each vertex, in
+pages of PAGE x PAGE vertices. The image of the single cells follows.
 """
 
 from collections.abc import Iterator
@@ -48,7 +49,7 @@ class CoarseLand:
         return np.float32(ROUNDING * np.spacing(np.float32(highest)))
 
     def is_near_loaded(self, grid: TileGrid, number: int, margin: int) -> bool:
-        """Return whether a tile, with `margin` samples around it, has samples of a loaded one."""
+        """Return whether tile `number`, with `margin` samples around it, has samples of a loaded one."""
         rings = -(-margin // grid.side) if margin else 0
         row, column = divmod(number, grid.columns)
         return any(
@@ -61,18 +62,22 @@ class CoarseLand:
         x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
         heights = raster_heights(self.field, self.bits, x, y).astype(np.float32)
         if self.field.valid is not None:
-            # samples that touch only cells that are cut out, so that holes keep their outline
+            # Samples of which all cells around them are cut out (`logical_and`), so that holes keep their outline.
             heights[holes_around(self.field.valid, self.bits, x, y, np.logical_and)] = np.nan
         return heights
 
     def errors(self, grid: TileGrid, box: TileBox) -> np.ndarray:
-        """Return the coarser store's errors of a tile's diamonds: float32 metres in the layout of the tile."""
+        """Return the coarser store's errors of a tile's diamonds: float32 metres in the layout of the tile.
+
+        grid: tiles of the finer raster. box: first and last samples of the tile in it.
+        """
         local = grid.local(box)
         base, pages = local.layout()
         errors = np.zeros(local.node_count, np.float32)
         for group in range(local.groups):
             image = errors[base[group] : base[group + 1]]
-            # the vertices of two levels in rows; the image has them in pages of PAGE x PAGE
+            # The vertices of two levels in rows, one at every 4^group-th sample; the image has them in pages. In this
+            # grid the vertices of a level are multiples of `half`, 1 or 2, and cells have 2 * half a side.
             row_length = PAGE * int(pages[group])
             rows = np.zeros((len(image) // row_length, row_length), np.float32)
             for level in range(2 * group, min(2 * group + 2, local.levels)):
@@ -81,8 +86,9 @@ class CoarseLand:
                 for y0, x0 in ((half, half), (0, half), (half, 0)):
                     is_centre = y0 == x0
                     if is_centre and level == local.levels - 1 and not grid.holds_roots:
-                        continue  # it depends on other tiles
-                    # columns and rows of cells with these vertices, then the ends of the vertices in `rows`
+                        continue  # the centre of a cell as large as the tile: `large_errors`
+                    # Columns and rows of cells: those with these centres, or the smaller ones, with `half` a side, on
+                    # whose corners the middles of sides are. From them, where the vertices end in `rows`.
                     counts = local.extent(2 * (local.levels - level) - is_centre)
                     x_end, y_end = (2 * half * n if is_centre else half * n + 1 for n in counts)
                     target = rows[y0 : y_end : 2 * half, x0 : x_end : 2 * half]
@@ -92,7 +98,8 @@ class CoarseLand:
             image[:] = pages_of(rows)
         wide, high = local.extent(local.cell_depth)
         x, y = box.x0 + np.arange(wide), box.y0 + np.arange(high)[:, None]
-        # The error of a coarser cell is a quarter in cells of half its side, and so on.
+        # Cell (x, y) is in the coarser cell (x >> bits, y >> bits). The error of that one is a quarter in cells of half
+        # its side, and so on.
         cells = pages_of(
             self._cell_errors(x >> self.bits, y >> self.bits) * np.float32(0.25**self.bits) + self.rounding
         )
@@ -109,7 +116,8 @@ class CoarseLand:
     def _errors_at(self, x: np.ndarray, y: np.ndarray, level: int, is_centre: bool) -> np.ndarray:
         """Return the coarser store's errors of diamonds that are split at samples (x, y) of one level, float32 metres.
 
-        is_centre: the vertices are centres of cells, otherwise middles of their sides.
+        is_centre: the vertices are centres of cells, otherwise middles of their sides. `rounding` is added for the
+        interpolated heights, which are rounded to float32.
         """
         coarser_level = level - self.bits  # in the coarser store's samples; below 0 inside its cells
         if coarser_level >= 0:
@@ -128,7 +136,10 @@ class CoarseLand:
         return error * np.float32(0.25**quarterings) + self.rounding
 
     def _cell_errors(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres."""
+        """Return the errors of the coarser store's cells (x, y), or of the nearest ones, float32 metres.
+
+        They are stored as codes, which the last of the store's tables, that of cells, translates.
+        """
         lattice = self.field.lattice
         columns, rows = lattice.extent(lattice.cell_depth)
         entries = cell_entries(lattice, np.clip(x, 0, columns - 1), np.clip(y, 0, rows - 1))

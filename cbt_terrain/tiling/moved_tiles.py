@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Results of a store's tiles, copied for a raster with another extent, whose tiles are others by a whole number."""
+"""Results of a store's tiles, copied for a raster with another extent whose samples are at the same positions.
+
+The tiles of both rasters must differ by whole columns and rows of tiles. `before` is the work of the earlier raster or
+its tiles, `work` that of the new one. Each finished tile has a record. Its errors and ranges are in images, one for
+each two levels of vertices (a group) and one for the raster's cells.
+"""
 
 import numpy as np
 
@@ -9,7 +14,8 @@ from .tile_records import MEASURED, READ
 from .tile_work import STORED, TileWork
 
 TOLERANCE = 0.01  # samples by which the corners of two rasters may miss a whole number of samples
-UNKNOWN: tuple[str, list] = ("", [])  # "above" of a record: errors of large diamonds, which depend on the extent
+# In place of "above" in a record, so that these errors are measured again.
+UNKNOWN: tuple[str, list] = ("", [])
 
 
 def tiles_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
@@ -17,6 +23,7 @@ def tiles_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
 
     None if its tiles are not tiles of the other one, or its samples are stored in another way.
     """
+    # All that decides how the samples and errors of a tile are stored.
     tiles = [(each.grid.bits, each.grid.levels, each.steps, each.holes, len(each.grid) > 1) for each in (before, work)]
     if tiles[0] != tiles[1]:
         return None
@@ -29,7 +36,8 @@ def tiles_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
 def samples_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
     """Return the columns and rows that samples of an earlier raster have further east and north in another one.
 
-    None if they are no samples of the other one.
+    None if they are no samples of the other one. `corner` of a work: samples from the origin of the coordinate system
+    to the south-western one, None if unknown.
     """
     if before.corner is None or work.corner is None:
         return (0, 0) if before.grid.lattice == work.grid.lattice else None
@@ -42,32 +50,39 @@ def samples_moved(before: TileWork, work: TileWork) -> tuple[int, int] | None:
 def copy_moved(before: TileWork, work: TileWork, moved: tuple[int, int]) -> None:
     """Copy samples, errors and ranges of the tiles that an earlier raster has in common with that of a work.
 
-    Digests of their inputs then decide which of them are used. Nothing is copied without whole records. moved: of
-    `tiles_moved`. Raises TerrainError and OSError, before anything is written, if an array is damaged.
+    Digests of their inputs then decide which of them are used. Nothing is copied if the checksum of the earlier records
+    differs. moved: columns and rows of tiles that the earlier ones have further east and north (`tiles_moved`). Raises
+    TerrainError and OSError, before anything is written, if an array is damaged.
     """
     if not before.has_whole_records():
         return
-    numbers = _common_tiles(before.grid, work.grid, moved)
+    numbers = _common_tiles(before.grid, work.grid, moved)  # earlier number of a tile: its new one
     for name in STORED if numbers else ():
         verify_array(before.folder / f"{name}.npy", *before.arrays()[name])
     read, measured = before.records(READ), before.records(MEASURED)
     records = []
     for number, new in numbers.items():
         box, new_box = before.grid.box(number), work.grid.box(new)
+        # Without the last samples, which are also the first ones of the eastern and the northern neighbour.
         owned, new_owned = before.grid.owned(box), work.grid.owned(new_box)
-        if owned.shape != new_owned.shape:
+        if owned.shape != new_owned.shape:  # at the border of one of the rasters
             continue
         work.open("samples")[new_owned.area] = before.open("samples")[owned.area]
+        # A tile with missing samples gets no record and is read again: the store has filled them and keeps no marks.
         if number in read and not read[number]["missing"]:
             records.append(read[number] | {"number": new})
         if "errors" in measured.get(number, ()) and before.grid.shape_of(box) == work.grid.shape_of(new_box):
             _copy_measured(before, number, work, new)
+            # The errors of diamonds larger than a tile ("above") depend on the extent.
             records.append(measured[number] | {"number": new, "above": UNKNOWN})
     work.write_records(records)
 
 
 def _common_tiles(before: TileGrid, grid: TileGrid, moved: tuple[int, int]) -> dict[int, int]:
-    """Return the numbers of the tiles of an earlier grid that another one has, too, with their numbers there."""
+    """Return the numbers of the tiles of an earlier grid that another one has, too, with their numbers there.
+
+    moved: columns and rows of tiles that the earlier ones have further east and north.
+    """
     numbers = {}
     for number in range(len(before)):
         row, column = divmod(number, before.columns)
@@ -78,7 +93,11 @@ def _common_tiles(before: TileGrid, grid: TileGrid, moved: tuple[int, int]) -> d
 
 
 def _copy_measured(before: TileWork, number: int, work: TileWork, new: int) -> None:
-    """Copy the errors and ranges of tile `number` of an earlier raster to tile `new` of a work."""
+    """Copy the errors and ranges of tile `number` of an earlier raster to tile `new` of a work.
+
+    "borders" are the values of vertices near the tile's border, before they were united with those of its neighbours.
+    Ranges are stored for every other sample only, so their layout is that of a grid at half the resolution.
+    """
     work.open("borders")[new] = before.open("borders")[number]
     _copy_entries(before.grid, number, before.open("error"), work.grid, new, work.open("error"), has_cells=True)
     halves = halved(before.grid), number, before.open("ranges"), halved(work.grid), new, work.open("ranges")
@@ -90,19 +109,23 @@ def _copy_entries(
 ) -> None:
     """Copy the entries of tile `number` of a grid from the array of its raster to tile `new` of another one.
 
-    Groups that are joined anew with those of neighbours are left out. has_cells: the arrays have entries of cells.
+    The coarsest group is left out if all its vertices are near the tile's border: those are computed again from
+    "borders". grid, number, values: the earlier raster, its tile and its array. new_grid, new, whole: the same of the
+    new raster. has_cells: the arrays have entries of cells, which follow the groups.
     """
     areas = owned_areas(grid, grid.box(number), has_cells)
     new_areas = owned_areas(new_grid, new_grid.box(new), has_cells)
     for area, new_area in zip(areas, new_areas, strict=True):
-        if area.group < grid.inner_groups or area.group == grid.local(grid.box(number)).groups:
+        is_cells = area.group == grid.local(grid.box(number)).groups  # the last area, after all groups
+        if area.group < grid.inner_groups or is_cells:
             _copy_area(area, values, new_area, whole)
 
 
 def _copy_area(area: OwnedArea, values: np.ndarray, new_area: OwnedArea, whole: np.ndarray) -> None:
     """Copy a tile's entries of a group from the array of one raster to that of another.
 
-    Tiles at the border write up to the end of the image, whose pages differ; entries beyond the shorter one are 0.
+    area, values: of the earlier raster; new_area, whole: of the new one. A tile at a raster's border writes up to the
+    end of the image, so its two areas may differ in size; the entries that only one of them has are 0.
     """
     height, width = min(area.height, new_area.height), min(area.width, new_area.width)
     if area.is_paged and new_area.is_paged and (area.height, area.width) == (new_area.height, new_area.width):

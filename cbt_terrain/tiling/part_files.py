@@ -46,7 +46,7 @@ class PartWriter:
         self.record: dict[str, Any] = {}
 
     def add(self, name: str, place: tuple[int, int], values: np.ndarray) -> None:
-        """Write an array. name: one of TYPES. place: as of `Block`."""
+        """Write an array. name: one of TYPES. place: the first sample (x, y) of heights, (0, 0) for others."""
         content = np.ascontiguousarray(values, TYPES[name]).tobytes()
         self._file.write(content)
         self.blocks.append([name, list(place), list(values.shape), zlib.crc32(content)])
@@ -68,7 +68,10 @@ def writing_part(folder: Path, kind: str, number: int) -> Iterator[PartWriter]:
 
 
 def find_record(folder: Path, grid: TileGrid, kind: str, number: int) -> dict | None:
-    """Return the record of a part that has a file; None without one, and for a damaged one."""
+    """Return the record of a part that has a file in `folder`; None without one, and for a damaged one.
+
+    grid: tiles of the terrain, to check the record. kind, number: of the part, as in the record.
+    """
     try:
         with open_regular(_file_of(folder, kind, number)) as file:
             end = file.seek(-LENGTH_BYTES, os.SEEK_END)
@@ -85,7 +88,10 @@ def find_record(folder: Path, grid: TileGrid, kind: str, number: int) -> dict | 
 
 
 def _is_whole(blocks: object, nbytes: int) -> bool:
-    """Return whether the blocks of a record fill a file up to its record. nbytes: bytes before the record."""
+    """Return whether the blocks of a record fill a file up to its record, each a (name, place, shape, checksum).
+
+    place: two numbers, where the array belongs. nbytes: bytes before the record.
+    """
     try:
         total = 0
         for name, place, shape, checksum in blocks:  # type: ignore[attr-defined]

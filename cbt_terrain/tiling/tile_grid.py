@@ -8,6 +8,11 @@ of such a cell (both odd).
 Diamonds of a tile that touch its border depend on the tiles around it. Of cells of 2**(j + 1) samples these are the
 cells and sides at the border: their vertices are on the border or 2**j samples from it (`near_border`). All others are
 final in the tile. Diamonds of cells as large as a tile and larger depend on many tiles.
+
+An array of a lattice (lattice.py) has one entry for each diamond, that is for its vertex. Two levels are a group, whose
+entries form an image: a vertex at every 4^group-th sample, in pages of PAGE x PAGE. The raster's cells are the last
+image. `Lattice.layout` has the first entry of each image and the number of pages in a row of it. `box`: first and last
+samples of a tile; neighbours share them.
 """
 
 from collections.abc import Iterator
@@ -101,6 +106,8 @@ class TileGrid:
         """
         lattice = self.lattice
         cells, span = (lattice.cells_x, lattice.cells_y), lattice.span
+        # Root squares of 2^levels samples: those of the tile, rounded up, and one more if the tile ends at the raster's
+        # border (`count`), but not beyond the squares of the raster (`end`).
         columns, rows = (
             min(-(-(last - first) >> self.levels) + (last == count), (end - first) >> self.levels)
             for first, last, count, end in zip(box[:2], box[2:], cells, span, strict=True)
@@ -121,7 +128,8 @@ class TileGrid:
         by_level = [np.zeros((3, 0), np.int64)]
         for level in range(self.levels if len(self) > 1 else 0):
             half = 1 << level
-            # A last tile of the raster also has vertices at side + half, in the padding.
+            # All pairs of a coordinate along a border of the tile and one on the border or next to it. A last tile of
+            # the raster also has vertices at side + half, in the padding.
             along = np.arange(0, self.side + half + 1, half)
             across = np.unique([0, half, self.side - half, self.side, self.side + half])
             x, y = (np.concatenate(pair) for pair in zip(_pairs(along, across), _pairs(across, along), strict=True))
@@ -139,7 +147,10 @@ def _pairs(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def halved(grid: TileGrid) -> TileGrid:
-    """Return the tiles of every other sample, in whose layout ranges of heights are stored."""
+    """Return the tiles of every other sample, in whose layout ranges of heights are stored.
+
+    The two finest depths of diamonds have no ranges.
+    """
     lattice = grid.lattice
     cells = (lattice.cells_x + 1) // 2, (lattice.cells_y + 1) // 2
     lattice = Lattice(lattice.columns, lattice.rows, lattice.levels - 1, cells_x=cells[0], cells_y=cells[1])
@@ -223,7 +234,9 @@ def owned_areas(grid: TileGrid, box: TileBox, with_cells: bool = True) -> Iterat
     base, pages = grid.lattice.layout()
     groups = grid.local(box).groups
     for group in range(groups + with_cells):
+        # An image has a vertex at every 2^shift-th sample, or a cell for each one of the raster.
         shift, raster_group = (2 * group, group) if group < groups else (0, len(pages) - 1)
+        # The entries of the group's image in the array of the raster, and the pages in a row of it.
         entries, row_pages = slice(int(base[raster_group]), int(base[raster_group + 1])), int(pages[raster_group])
         x, y, count = box.x0 >> shift, box.y0 >> shift, -(-grid.side >> shift)
         # the last tiles write up to the end of the image
@@ -241,19 +254,21 @@ def put(grid: TileGrid, box: TileBox, values: np.ndarray, whole: np.ndarray) -> 
     base, pages = local.layout()
     for area in owned_areas(grid, box, len(values) == local.node_count):  # ranges have no entries of cells
         source, row_pages = values[base[area.group] : base[area.group + 1]], int(pages[area.group])
-        if area.is_paged:
+        if area.is_paged:  # it consists of whole pages, which are copied at once
             target = area.paged(whole)
             high, wide = target.shape[:2]  # pages
             target[:] = source.reshape(-1, row_pages, *target.shape[2:])[:high, :wide]
         else:
+            # The vertices of the pages in rows, without those beyond the area.
             rows = rows_of(source, row_pages)[: area.height, : area.width]
             whole[area.positions()[: rows.shape[0], : rows.shape[1]]] = rows
 
 
 def translate(grid: TileGrid, box: TileBox, whole: np.ndarray, tables: np.ndarray) -> None:
-    """Replace the codes of a tile in the array of the raster, in place.
+    """Replace the codes of a tile in the array of the raster, in place. A code is an error as a byte (codes.py).
 
-    tables: uint8 [groups of the tile and cells, 256], the new code of each old one. whole: that array.
+    tables: uint8 [groups of the tile and cells, 256], the new code of each old one. whole: that array. An area of whole
+    pages is a view of it; other areas are reached by their entries.
     """
     for area in owned_areas(grid, box):
         table = tables[area.group].tobytes()

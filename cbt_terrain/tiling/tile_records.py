@@ -20,7 +20,9 @@ from .tile_grid import LatticeVertices, TileGrid, exist
 READ, MEASURED = "read", "measured"  # kinds of records
 FINER = finer_heights.FILLED, finer_heights.LIMITED, finer_heights.MEASURED, finer_heights.RANGED  # ... of finer tiles
 SEAMS = "finer_seams"  # ... and of the borders of their files
-FIGURES = "largest", "converted", "moved", "shifted"  # of a unit, a part that is read at once; metres
+# Of a unit, a part that is read at once: the largest height and the largest errors of its conversion, of its resampled
+# positions and of its datum, metres or the file's unit.
+FIGURES = "largest", "converted", "moved", "shifted"
 # Of a measured tile: "errors" and "ranges" are digests of what they were measured from, "above" is the digest and the
 # list of its LargeErrors. A record without these entries marks a tile as not measured.
 STATE = "errors", "largest", "climbs", "exponents", "ranges", "above"
@@ -57,11 +59,17 @@ def _is_record(record: Any, grid: TileGrid) -> bool:
     if record["kind"] in (*FINER, SEAMS):
         return _is_finer(record)
     is_tile = record["kind"] == MEASURED and record["number"] < len(grid)
+    # Without any entry of STATE it marks the tile as not measured.
     return is_tile and (not record.keys() & set(STATE) or _is_measured(record, grid))
 
 
 def _is_read(record: dict, grid: TileGrid) -> bool:
-    """Return whether the record of a unit has valid entries."""
+    """Return whether the record of a unit has valid entries.
+
+    "inputs" is a digest, "missing" the number of missing samples, "limits" the lowest and highest height, None if all
+    are missing. In "figures", "marks" are pairs of a value that may mark missing samples, and its count, "values" is
+    the range of all other values, and FIGURES are the largest height and the largest errors of the conversion.
+    """
     lattice, figures, limits = grid.lattice, record["figures"], record["limits"]
     low, high = figures["values"]
     return (
@@ -76,7 +84,12 @@ def _is_read(record: dict, grid: TileGrid) -> bool:
 
 
 def _is_finer(record: dict) -> bool:
-    """Return whether the record of a window or a tile of finer tiles, or of seams, has valid entries."""
+    """Return whether a record of a kind of FINER or of SEAMS has valid entries.
+
+    FILLED belongs to a window of samples of finer tiles, the other kinds of FINER to one of these tiles, SEAMS to a
+    block of cells. "sums" are checksums of what was written, "limits" the largest change of height, metres, and slope,
+    "marks" the compressed marks of a block's cells by level.
+    """
     if not isinstance(record["inputs"], str):
         return False
     if record["kind"] == SEAMS:
@@ -93,7 +106,12 @@ def _is_finer(record: dict) -> bool:
 
 
 def _is_measured(record: dict, grid: TileGrid) -> bool:
-    """Return whether the record of a measured tile has valid entries."""
+    """Return whether the record of a measured tile has valid entries.
+
+    "errors" and "ranges" are digests. "largest" and "exponents" have an item for each group of two levels and one for
+    the cells, "climbs" one for each axis. "above" is a digest and a list of (x, y, level, error): diamonds larger than
+    the tile.
+    """
     groups = grid.local(grid.box(record["number"])).groups
     above_digest, large = record["above"]
     exponents = record["exponents"]

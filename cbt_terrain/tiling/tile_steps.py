@@ -1,5 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The steps of a store that is made by tile, after its samples are there: fill, measure each tile, join the borders."""
+"""The steps of a store that is made by tile, after its samples are there: fill, measure each tile, join the borders.
+
+`work` is the folder with the terrain's arrays and with records of its finished parts: of samples that were read (READ)
+and of tiles that were measured (MEASURED), by number. `work.grid` has the tiles, each a square of cells.
+
+A tile's errors are stored as codes: bytes, each the index of an error in a table of its group (two levels of diamonds;
+the raster's cells have the last table). The largest error of a table is 2^exponent metres. A tile is measured under its
+own exponents; joining translates its codes to those of the whole terrain, which are larger or equal.
+
+The record of a tile has the entries STATE: "errors" and "ranges", digests of all that they depend on; "largest", the
+largest error of each group and of the cells; "exponents" of its stored codes; "climbs", the largest differences of
+neighbouring heights along x and y; "above", a digest and the errors of diamonds larger than a tile.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -74,9 +86,9 @@ def measure(
 ) -> bool:
     """Measure the changed parts of a tile and write its record. Return whether its errors were measured.
 
-    Without a change nothing is written. limits: of all heights. before: its last record, None for none. exponents:
-    largest ones that its stored codes may have, () for any. coarse: the land around loaded tiles, None if all tiles are
-    loaded.
+    Without a change nothing is written. limits: of all heights. before: its last record, None for none. exponents: of
+    its groups and cells; a tile whose stored codes have a larger one is measured again, () for no such limit. coarse:
+    the land around loaded tiles, None if all tiles are loaded.
     """
     changes = measured(work, number, limits, threads, before, exponents, coarse)
     if changes is None:
@@ -105,12 +117,12 @@ def write_measured(work: TileWork, number: int, changes: MeasuredTile, has_recor
     """Write the changes of a tile into the arrays of a work, and its record. has_record: it has an earlier one."""
     grid, box = work.grid, work.grid.box(number)
     if has_record:
-        work.note(MEASURED, number)  # it is not measured while its arrays are written
+        work.note(MEASURED, number)  # a record without entries: not measured, if this process is killed meanwhile
     if changes.codes is not None:
         put(grid, box, changes.codes, work.open("error"))
         work.open("borders")[number] = changes.border
     if changes.ranges is not None:
-        half = halved(grid)
+        half = halved(grid)  # only every other sample has a range
         put(half, half.box(number), changes.ranges, work.open("ranges"))
     work.note(MEASURED, number, **changes.record)
 
@@ -156,21 +168,28 @@ def measured(
 ) -> MeasuredTile | None:
     """Measure the changed parts of a tile; None without a change. Nothing is written.
 
+    The parts are the errors inside the tile, those of larger diamonds ("above") and the ranges. Each has a digest of
+    all that it depends on; it has changed if that differs from the digest in the record `before`.
+
     Args:
+        limits: of all heights of the terrain; `limits.scale`, base and step of its ranges, follows from them.
         before: its last record, None for none.
-        exponents: largest ones that its stored codes may have; () for any.
+        exponents: of its groups and cells; a tile whose stored codes have a larger one is measured again. () for no
+            such limit.
         coarse: the land around loaded tiles, None if all tiles are loaded.
     """
     grid, box = work.grid, work.grid.box(number)
+    # All samples that the tile's errors depend on: its own and a margin, which grows with the range of heights.
     window = grid.window(box, margin_of(limits.low, limits.high))
     raw = work.raw("samples", window)
     valid = work.raw("missing", window) ^ 1 if work.holes and limits.missing else None
     is_near = coarse is not None and coarse.is_near_loaded(grid, number, margin_of(limits.low, limits.high))
     coarse_inputs = () if coarse is None else (coarse.digest, is_near, box)
+    # The window relative to the tile's first sample, whose position another extent of the raster changes.
     around = tuple(end - first for end, first in zip(window, (box.x0, box.y0) * 2, strict=True))
-    # only errors at holes depend on steps
+    # The step of the grid, metres: only errors at holes depend on it.
     hole_steps = () if valid is None else (grid.lattice.step_x, grid.lattice.step_y)
-    places = around, grid.shape_of(box), hole_steps  # relative to the tile, whose position another extent changes
+    places = around, grid.shape_of(box), hole_steps
     arrays = [raw] if valid is None else [raw, valid]
     errors_digest = digest_of(arrays, repr((places, work.steps, *coarse_inputs)))
     heights: dict[tuple[int, int], float] = {}
@@ -181,7 +200,8 @@ def measured(
             heights[x, y] = work.height(samples, x, y)
         return heights[x, y]
 
-    # Fills `heights`, some ten, of one mapping: to open it takes longer than to read them.
+    # Reads the few vertices that it needs into `heights` from one mapping, which takes longer to open than to read.
+    # There are no larger diamonds if a tile holds whole root squares, the largest cells of the lattice.
     triangles = [] if grid.holds_roots else large_triangles(grid, box, partial(height, work.open("samples")))
     state: dict[str, Any] = {name: (before or {}).get(name) for name in STATE}
     above_digest = digest_of([], repr((errors_digest, sorted(heights.items()))))
@@ -196,6 +216,7 @@ def measured(
     if not is_measured:
         tile_errors = code_errors(tile, *_errors(tile, coarse, is_near, threads), threads)
         stored = tile_errors.codes
+        # Codes near the tile's border, and kinds (ground, hole) of the same cells, 0 without holes.
         border = np.stack(
             [tile_errors.border, np.zeros_like(tile_errors.border) if tile_errors.kinds is None else tile_errors.kinds]
         )
@@ -209,6 +230,7 @@ def measured(
         ranges = measure_ranges(tile, limits.scale, threads)
     if state["above"] is None or state["above"][0] != above_digest:
         large = large_errors(tile, triangles, threads)
+        # With both, since joining takes the largest error of each diamond.
         state["above"] = [above_digest, large if coarse is None else large + list(coarse.large_errors(large))]
     return MeasuredTile(state | {"ranges": ranges_digest}, stored, border, ranges)
 
@@ -218,9 +240,9 @@ def _errors(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the errors of a tile, float32 metres in the layout of its lattice, and the kinds of its cells.
 
-    The kinds (ground, hole) are None without holes. Around loaded tiles of a quick import the errors are bounds, which
-    need no samples, if the tile has no holes and no loaded tile is near. coarse: that import, None without.
-    is_near_loaded: whether samples of one are in the tile's window.
+    The kinds (ground, hole) are None without holes. coarse: the land around loaded tiles, None if all tiles are loaded.
+    Its bounds of errors need no samples; they are all that counts if the tile has no holes and no loaded tile is near.
+    is_near_loaded: whether samples of a loaded tile are in the tile's window.
     """
     if coarse is None:
         return exact_errors(tile, threads)
@@ -257,15 +279,18 @@ def join(
     """
     grid, lattice = work.grid, work.grid.lattice
     records = work.records(MEASURED)  # their entries: STATE
+    # Errors of diamonds as large as a tile or larger, from each tile that they meet: vertex, level and metres.
     large = [LargeError(*item) for record in records.values() for item in record["above"][1]]
-    kinds = None
+    kinds = None  # opens the kinds of all diamonds: ground, hole or both; only a terrain with holes has them
     largest = _largest(work, records, large)
     if work.holes and limits.missing:
         work.make_sparse("kinds")
         kinds = partial(work.open, "kinds")
+        # At the border of a hole a diamond's error is at least the length of its longest edge, so that it is split.
+        # Raise the largest error at each depth with such diamonds. is_centre: their vertices are centres of cells.
         for level, is_centre in _join_kinds(work, kinds):
             largest[level // 2] = max(largest[level // 2], _longest(lattice, level, is_centre))
-    # the largest error of each group chooses its table of codes
+    # The largest error of each group chooses its table of codes; a coarser group has no smaller one than a finer group.
     exponents = codes.nested(lattice, list(map(codes.exponent_of, _nested(largest))))
     for number, record in sorted(records.items()):
         on_progress(0.5 * number / len(grid))
@@ -276,11 +301,12 @@ def join(
             measure(work, number, limits, threads, before=record, exponents=wanted, coarse=coarse)
             record = work.records(MEASURED, number)[number]
         if record["exponents"] != wanted:
-            work.note(MEASURED, number)  # it is not measured while its codes are replaced
+            work.note(MEASURED, number)  # a record without entries: not measured, if this process is killed meanwhile
             tables = borders.tables_between(record["exponents"], wanted)
             translate(grid, grid.box(number), work.open("error"), tables)
             values = {name: value for name, value in record.items() if name not in ("kind", "number", "at")}
             work.note(MEASURED, number, **values | {"exponents": wanted})
+    # Of each tile the codes near its border, as they were measured, before any translation: functions that read them.
     border_codes = [(number, partial(work.border, number, kind=0)) for number in records]
 
     def tables_of(number: int) -> np.ndarray:
@@ -320,9 +346,9 @@ def _largest(work: TileWork, records: dict[int, dict], large: Sequence[LargeErro
 
 
 def _nested(largest: Sequence[float]) -> list[float]:
-    """Return the largest error of each group, raised to those of the groups it holds; the last value is the cells'.
+    """Return the largest error of each group, raised to those of all finer groups and of the cells.
 
-    largest: the largest error of each group, the finest first, then that of the cells.
+    largest: the largest error of each group, the finest first, then that of the cells, as in the result.
     """
     *groups, cells = largest
     return [*(max([cells, *groups[: number + 1]]) for number in range(len(groups))), cells]
@@ -343,6 +369,7 @@ def _join_kinds(work: TileWork, kinds: borders.Opened) -> list[tuple[int, bool]]
     A depth is (level, whether its vertices are centres).
     """
     border_kinds = [(number, partial(work.border, number, kind=1)) for number in range(len(work.grid))]
+    # Tables that leave values as they are: kinds, unlike codes, need no translation between tiles and raster.
     identity = np.tile(np.arange(256, dtype=np.uint8), (work.grid.lattice.groups + 1, 1))
     borders.join_borders(work.grid, border_kinds, kinds, lambda _number: identity, np.bitwise_or)
     return borders.raise_kinds(work.grid, kinds)

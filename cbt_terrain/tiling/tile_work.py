@@ -72,7 +72,10 @@ class TileWork:
     corner: tuple[float, float] | None = None
 
     def arrays(self) -> dict[str, tuple[tuple, DTypeLike]]:
-        """Return shapes and types of the arrays by name."""
+        """Return shapes and types of the arrays by name.
+
+        They are the files above, and "kinds", those of cells (ground, hole) while borders are joined.
+        """
         lattice = self.grid.lattice
         shape = lattice.height, lattice.width
         return {
@@ -117,7 +120,10 @@ class TileWork:
         return os.path.lexists(self.folder / store_folder.WORK_NAME)
 
     def start_again(self, draft: Draft) -> None:
-        """Forget all records and the stored samples, and store heights as floats from now on."""
+        """Forget all records and the stored samples, and store heights as floats from now on.
+
+        draft: the unpublished version of the store, whose folder holds the arrays.
+        """
         was_described = self.is_described
         owned_files.remove_file(self.folder / store_folder.WORK_NAME)
         self.remove_records()
@@ -136,8 +142,10 @@ class TileWork:
     def copy(self, before: "TileWork", units: int) -> None:
         """Copy the arrays and records of an earlier version with the same tiles; nothing if any of them is damaged.
 
-        Records of units with gaps are left out, because a store does not mark filled samples, and so are those from
-        number `units` on, of another kind of source with more units. Raises OSError. before: the earlier version.
+        Two kinds of records are left out: those of units with gaps, because a store does not mark filled samples, and
+        those with a number from `units` on, which the source of this work does not have. Raises OSError.
+
+        before: the earlier version. units: the number of units in which the source of this work is read.
         """
         is_whole = False
         try:
@@ -167,12 +175,12 @@ class TileWork:
         nbytes, sums = int(np.prod(shape)) * np.dtype(dtype).itemsize, []
         file = f"{name}.npy"
         with open_regular(before.folder / file) as reader, (self.folder / file).open("wb") as writer:
-            writer.write(reader.read(PAGE_BYTES))
+            writer.write(reader.read(PAGE_BYTES))  # the header
             for first in range(0, nbytes, BLOCK_BYTES):
                 block = reader.read(min(BLOCK_BYTES, nbytes - first))
                 sums.append(zlib.crc32(block))
                 writer.write(block)
-            stored = reader.read()
+            stored = reader.read()  # the checksums, which follow the array
             writer.write(stored)
         return stored == np.array(sums, "<u4").tobytes()
 
@@ -222,7 +230,10 @@ class TileWork:
         return np.memmap(file, dtype, "r+", PAGE_BYTES, shape).view(np.ndarray)
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
-        """Return the stored samples, or the mask, of a box, its last ones included, as a copy."""
+        """Return a part of an array as a copy: stored samples or marks of missing ones, the last of the box included.
+
+        name: "samples" or "missing". The array is mapped anew for each COPIED_ROWS rows, so that few pages are held.
+        """
         copied = np.empty(box.shape, self.arrays()[name][1])
         for row in range(0, len(copied), COPIED_ROWS):
             part, y = copied[row : row + COPIED_ROWS], box.y0 + row
@@ -249,7 +260,7 @@ class TileWork:
         """Store heights, float32 [rows, columns] with NaN where missing, from sample (x, y) on.
 
         Missing ones are marked in the array "missing"; their stored height has no meaning. Return the lowest and the
-        highest, or [] without any. Raises NotNumberedError.
+        highest, or [] without any. Raises NotNumberedError if `steps` cannot store a height exactly.
         """
         missing = np.isnan(heights)
         has_gaps = bool(missing.any())
@@ -285,6 +296,7 @@ class TileWork:
 
         kind: READ for units, MEASURED for tiles, and others. number: of the only part; None for all parts.
         """
+        # Only lines with these bytes are parsed.
         marks = [f'"{kind}"'.encode()] if number is None else [f'"{kind}"'.encode(), b'"number": %d,' % number]
         latest: dict[int, dict] = {}
         for record in sorted(self._records_with(marks), key=lambda record: record["at"]):
@@ -297,7 +309,7 @@ class TileWork:
 
         marks: bytes that the lines have. The other lines are not parsed, which takes most of the time.
         """
-        for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):
+        for file in self.folder.glob(f"{PREFIX[:-1]}*.jsonl"):  # without the hyphen, to find tiles.jsonl, too
             for line in read_regular(file, MAX_RECORDS, links=False).split(b"\n"):
                 if all(mark in line for mark in marks) and (record := record_of(line, self.grid)) is not None:
                     yield record

@@ -144,7 +144,7 @@ class UnpackedFiles:
     def __init__(self, folder: Path | None = None) -> None:
         """Unpack into `folder`; without one, archives are not unpacked."""
         self._folder = folder
-        self._archives: list[Path] = []  # by the number of the inner folder
+        self._archives: list[Path] = []  # by the number of the inner folder, what its path stands for in messages
         self._kept: dict[Path, tuple[Path, int]] = {}  # archive: its height map and the bytes, the latest last
 
     def path_of(self, path: Path) -> Path:
@@ -154,7 +154,7 @@ class UnpackedFiles:
         """
         if self._folder is None or not is_packed(path):
             return path
-        if path not in self._kept:
+        if path not in self._kept:  # by path: the copy and the bytes of its folder
             inner = self._folder / str(len(self._archives))
             self._archives.append(path.parent if is_inside(path) else path)
             with owned_files.open_folder(inner, make=True):
@@ -191,7 +191,7 @@ def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
     unpacked files are replaced by those of their archives. Raises OSError if the folder cannot be made.
     """
     new_folders = store_folder.missing_folders(folder.parent)
-    lock = partial_files.make_folder(folder, parents=True)
+    lock = partial_files.make_folder(folder, parents=True)  # while it is held, no other process removes the folder
     try:
         with partial_files.private_folder(folder) as inner:  # a new folder in it, for this user alone
             files = UnpackedFiles(inner)
@@ -200,7 +200,7 @@ def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
             except TerrainError as error:
                 raise TerrainError(*map(files.with_names, error.args)) from error
     finally:
-        partial_files.end_work(folder, lock)
+        partial_files.end_work(folder, lock)  # release it
         with suppress(OSError, NotOursError):
             store_folder.remove_arrays(folder)
         with suppress(OSError, NotOursError):
@@ -210,7 +210,7 @@ def unpacking(folder: Path) -> Iterator[UnpackedFiles]:
 
 @contextmanager
 def unpacked(path: Path, folder: Path) -> Iterator[Path]:
-    """Yield the height map of an archive, unpacked as by `unpacking`; any other path as it is."""
+    """Yield the height map of an archive, unpacked into the new folder `folder` for the block; else `path` itself."""
     if not is_archive(path):
         yield path
         return
@@ -238,8 +238,8 @@ def _unpack(path: Path, folder: Path) -> Path:
 def _opened(file: IO[bytes], info: zipfile.ZipInfo | None) -> Iterator[IO[bytes] | gzip.GzipFile]:
     """Yield a member of an open .zip, or the content of an open .gz (`info` is None), for reading.
 
-    The directory of the .zip, which `_members_of` has read and keeps, is not read again: that takes 10 ms for 2,000
-    members.
+    Reading the directory of a .zip takes 10 ms for 2,000 members, and `_members_of` has kept it. So an empty .zip
+    (NO_MEMBERS) is opened, and gets the file in place of its own.
     """
     if info is None:
         with gzip.open(file) as content:
@@ -340,7 +340,7 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     maps = {name: info for info in members if _importable(name := PurePosixPath(info.filename))}
     if len(maps) > 1:
         maps = {name: info for name, info in maps.items() if is_tile(name.name, beside[name.parent])}
-    if not maps:
+    if not maps:  # the error also names archives and mosaics (`packed`)
         names = [PurePosixPath(info.filename) for info in members]
         packed = [name for name in names if name.suffix.lower() in FORMATS and not name.name.startswith(".")]
         raise _no_terrain(path, [*filter(_importable, names)], packed)

@@ -78,7 +78,8 @@ def likeliest(choice: list[ExrChannel], channels: list[ExrChannel]) -> ExrChanne
 def _rank(channel: ExrChannel, channels: list[ExrChannel]) -> tuple[int, int, int]:
     """Return a sort key of a channel, the smallest for the likeliest: kind of name, component, position in the file.
 
-    Names of heights come first, colours, vectors and other quantities last.
+    Names of heights come first, colours, vectors and other quantities last. Of several channels of a kind, one that is
+    no usual component (r, x, ...) is preferred, then the components in the order of COMPONENTS.
     """
     text, component = channel.full_name.casefold(), channel.component
     components = {c.component for c in channels if (c.part, c.layer) == (channel.part, channel.layer)}

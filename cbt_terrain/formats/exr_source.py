@@ -29,7 +29,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
     """
     import OpenEXR
 
-    try:
+    try:  # a file has parts, each with a header and channels
         headers = [part.header for part in OpenEXR.File(str(path), separate_channels=True, header_only=True).parts]
         names = [header.get("name", "") if len(headers) > 1 else "" for header in headers]
         channels = [
@@ -42,6 +42,7 @@ def open_exr(path: Path, settings: ImportSettings) -> Raster:
         raise TerrainError(f"{path} cannot be read as OpenEXR ({cause(reason)})", fix="get the file again") from reason
     channel, also_named = _choose(path, channels, settings.channel)
     width, height = sizes[channel.part]
+    # A header may claim any size. All channels count, 4 bytes a pixel, against the memory and the size of the file.
     num_pixels = sum(int(sizes[c.part][0] * sizes[c.part][1]) for c in channels)
     if min(map(min, sizes)) < 1 or 4 * num_pixels > min(physical_memory() // 4, MAX_RATIO * path.stat().st_size):
         raise TerrainError(

@@ -136,10 +136,11 @@ def _check_damage(path: Path, form: SourceFormat) -> None:
 
 
 def open_vrt(path: Path) -> OpenedVrt:
-    """Open a VRT as `read_mosaic` rewrites it, after each of its files was opened once and checked.
+    """Open a VRT after each of its files was opened once and checked.
 
-    From then on GDAL ignores files beside rasters (.msk, .ovr) in this process. Raises TerrainError, and rasterio's
-    errors for the VRT itself.
+    GDAL reads the VRT as texts in memory, in which `read_mosaic` has replaced the names of the files. From then on GDAL
+    ignores files beside rasters (.msk, .ovr) in this process. Raises TerrainError, and rasterio's errors for the VRT
+    itself.
     """
     import rasterio
     from rasterio.env import setenv
@@ -171,7 +172,7 @@ def open_vrt(path: Path) -> OpenedVrt:
         for number, text in enumerate(mosaic.texts)
     ]
     dataset = rasterio.open(texts[-1].name, driver="VRT", sharing=False)  # the outermost VRT
-    _check_blocks(path, dataset)
+    _check_blocks(path, dataset)  # refuses too many bands and too large pieces
     return OpenedVrt(dataset, texts, mosaic, roundings, scales)
 
 
@@ -191,7 +192,7 @@ def _check_blocks(path: Path, dataset: DatasetReader) -> None:
         )
     rows, columns = dataset.block_shapes[0]
     size = rows * columns * max(16 if "complex" in kind else np.dtype(kind).itemsize for kind in dataset.dtypes)
-    if dataset.count > 1 and dataset.interleaving == Interleaving.pixel:
+    if dataset.count > 1 and dataset.interleaving == Interleaving.pixel:  # a piece holds all bands
         size *= dataset.count
     if size > LARGEST_BLOCK:
         raise TerrainError(

@@ -105,7 +105,7 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
         notes = allow_aux_file(path)
         original = open_file(path, form)
         dataset = decode_if_coded(path, original, settings)
-    if dataset is not original:
+    if dataset is not original:  # the copy has one band
         settings = dataclasses.replace(settings, band=1)
     return raster_of(path, dataset, settings, form.driver, notes)
 
@@ -122,8 +122,9 @@ def raster_of(
 
     The georeference, the unit of heights and the rounding of stored values come from the dataset; roundings of a VRT
     come from its sources. The raster is reprojected if the settings request it or its grid is sheared. driver: GDAL's
-    name of the format. notes: warnings so far. vrt: the texts and sources if the file is a VRT, else None. Raises
-    TerrainError for a missing band, complex values and a place that cannot be used.
+    name of the format. notes: warnings so far. vrt: if the file is a VRT, its XML in memory (`texts`), its sources
+    (`mosaic`) and their roundings and scales by (file, band), else None. Raises TerrainError for a missing band,
+    complex values and a place that cannot be used.
     """
     _check_band(path, dataset, settings.band)
     _check_scale(path, dataset.scales[settings.band - 1], dataset.offsets[settings.band - 1])
@@ -135,7 +136,7 @@ def raster_of(
     if grid.transform is not None and grid.crs is None and driver != "VRT":
         grid = grid._replace(crs=named_crs(path, notes))
     in_metres, unit_warnings = height_unit(facts.unit, grid.crs or dataset.crs)
-    in_metres *= facts.factor
+    in_metres *= facts.factor  # `in_metres` is now metres for one of the dataset's values
     notes += [*band_notes(dataset, band, driver), *facts.notes, *unit_warnings]
     roundings: tuple[SourceRounding, ...] = (band_rounding(dataset, band),)
     if vrt is not None:
@@ -146,6 +147,7 @@ def raster_of(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
             f"metres (--extent), or place the raster first ({grid.tool})."
         )
+    # The samples as they are stored, and, if they have to be resampled, the plan for it with the new grid and size.
     raster = _stored_raster(path, dataset, settings, driver, grid)
     plan, projected_from, placed_size = None, "", (dataset.width, dataset.height)
     sheared = grid.transform is not None and has_shear(grid, dataset.width, dataset.height)
@@ -158,9 +160,10 @@ def raster_of(
         )
         if not settings.project:
             notes.append("The file's rows and columns are not perpendicular: it was resampled onto a straight grid.")
+    # The place of the result, or only the directions of its rows and columns.
     georeference = _georeference(grid, *placed_size, settings)
     is_sized = georeference is not None
-    if georeference is None and driver == "GTiff":  # the orientation gives directions, but no size
+    if georeference is None and driver == "GTiff":  # from its tag Orientation
         georeference = orientation_georeference(orientation_of(path))
     if georeference is None and mosaic is not None:
         notes += orientation_notes(mosaic.sources)
@@ -233,12 +236,16 @@ def _close(*files: DatasetReader) -> None:
 
 
 def _resampled(original: Raster, plan: Resampling) -> Raster:
-    """Return a raster on another grid. original: the file's own raster, with the georeference of that grid."""
+    """Return a raster on another grid.
+
+    original: the file's own raster, but with the georeference of that grid. The result's `moved` is the largest
+    difference that errors of positions have made to a sample that was read.
+    """
     assert original.window is not None, "GDAL reads windows"
     file = ResampledFile(plan, original.window)
 
     def window(first: int, count: int, column: int, columns: int) -> np.ndarray:
-        """Read a window, and keep the largest error of positions."""
+        """Return `columns` samples from `column` on of `count` rows from row `first` on, and update `raster.moved`."""
         file.moved = 0.0
         values = file.window(first, count, column, columns)
         raster.moved = max(raster.moved, file.moved)
@@ -302,10 +309,11 @@ def _window_reader(
 
 
 def open_overview(path: Path, settings: ImportSettings, width: int, stored: str, max_factor: int) -> Raster | None:
-    """Open the coarsest overview of a GeoTIFF with one sample for 2, 4, 8 ... `max_factor` samples a side.
+    """Open the overview of a GeoTIFF that has one sample for `max_factor` (2, 4, 8 ...) samples along each side.
 
-    None if the file has no such overview, if it is coarser or has another type of samples, and beside an .aux.xml. The
-    caller closes it. The file was opened and checked before. width: its columns. stored: type of its samples.
+    Return None if the file has no such overview, if that is coarser than `max_factor` or has another type of samples,
+    and if the file has an .aux.xml. The caller closes it. The file was opened and checked before. width: columns of the
+    file. stored: type of its samples.
     """
     from rasterio.errors import RasterioIOError
 
@@ -319,7 +327,7 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
         except RasterioIOError:
             return None
         finally:
-            ignore_neighbours()  # the source of another tile may be a VRT
+            ignore_neighbours()  # again: opening may have changed this, and a source of another tile may be a VRT
     if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
         small.close()
         return None

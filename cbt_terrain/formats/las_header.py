@@ -19,6 +19,7 @@ def las_damage(file: BinaryIO) -> str:
     head = file.read(HEADER_1_4_BYTES)
     if len(head) < HEADER_BYTES or head[:4] != b"LASF":
         return "it does not begin with a header of LAS"
+    # form: number of the format of points, which are compressed from COMPRESSED on.
     header_bytes, first_point, num_records, form, point_bytes, num_points = struct.unpack_from("<HIIBHI", head, 94)
     if head[25] >= 4 and len(head) == HEADER_1_4_BYTES:  # the minor version
         extended_at, num_extended = struct.unpack_from("<QI", head, 235)

@@ -27,7 +27,7 @@ class _Header:
     """A header that is read from its start; all methods raise ValueError or struct.error at damage.
 
     Attributes:
-        count_code: type of a count, as of `struct`.
+        count_code: format of a count, for `struct.unpack`.
         offset_bytes: size of a variable's offset in the file.
     """
 
@@ -44,7 +44,7 @@ class _Header:
             self.items(tag, item)
 
     def number(self, code: str = ">I") -> int:
-        """Return the next number. code: its type, as of `struct`."""
+        """Return the next number. code: its format, for `struct.unpack`."""
         return struct.unpack(code, self.file.read(struct.calcsize(code)))[0]
 
     def count(self) -> int:
@@ -93,7 +93,7 @@ class _Header:
             raise ValueError
         self.skip_padded(struct.calcsize(self.count_code) * axes)
         self.items(ATTRIBUTES, self.attribute)
-        if self.number() not in SIZES:
+        if self.number() not in SIZES:  # the type
             raise ValueError
-        self.number(self.count_code)
+        self.number(self.count_code)  # the size
         self.skip_padded(self.offset_bytes)

@@ -70,7 +70,7 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
         damage = las_damage(file)
     if damage:
         raise TerrainError(f"{shown(path)} is damaged ({damage})", expected="a whole LAS or LAZ", fix="get it again")
-    crs, z_step = _header(path)
+    crs, z_step = _header(path)  # z_step: the distance of the heights that the file can store
     unit = unit_of(crs)
     if "degrees" in unit:
         what = f"{shown(path)} has its points in degrees"
@@ -85,6 +85,7 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
     metres = unit.get("metres", 1.0)
     cell = settings.cell / metres if settings.cell is not None else _default_cell(extent)
     heights, west, north, num_filled = _grid(path, extent, cell)
+    # The grid becomes a GeoTIFF in memory, so that `raster_of` treats its unit and place like those of a file.
     raster = raster_of(path, _in_memory(heights, crs, (cell, 0.0, west, 0.0, -cell, north)), settings, "GTiff")
     empty = int(np.isnan(heights).sum())
     note = (
@@ -97,9 +98,9 @@ def _open(path: Path, settings: ImportSettings) -> Raster:
 
 
 def _header(path: Path) -> tuple[object, float]:
-    """Return the coordinate system of a file, a rasterio CRS or None, and the step of its heights in its own unit.
+    """Return a file's coordinate system, a rasterio CRS or None, and the distance of the heights that it can store.
 
-    A system that PROJ does not know counts as none.
+    The distance is in the unit of the file's heights. A system that PROJ does not know counts as none.
     """
     import laspy
     from rasterio.crs import CRS
@@ -116,7 +117,7 @@ def _header(path: Path) -> tuple[object, float]:
                 return CRS.from_wkt(text.strip("\0 ")), abs(float(header.scales[2]))
             except CRSError:
                 continue
-        if type(record).__name__ == "GeoKeyDirectoryVlr":
+        if type(record).__name__ == "GeoKeyDirectoryVlr":  # location 0: the value is the code itself
             keys = {key.id: key.value_offset for key in record.geo_keys if key.tiff_tag_location == 0}
     horizontal, vertical = keys.get(PROJECTED_KEY, 0) or keys.get(GEOGRAPHIC_KEY, 0), keys.get(VERTICAL_KEY, 0)
     usable = [code for code in (horizontal, vertical) if 0 < code < USER_DEFINED]
@@ -166,11 +167,11 @@ def _default_cell(extent: GroundExtent) -> float:
 
 
 def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, float, float, int]:
-    """Return (heights, west, north, filled): mean heights of cells, float32 [rows, columns], row 0 north, NaN for none.
+    """Return (heights, west, north, num_filled): mean heights of cells, float32 [rows, columns], row 0 north.
 
-    west, north: coordinates of the grid's borders. filled: number of cells without points that were interpolated. cell:
-    side of a cell in the file's unit. Cell borders are at multiples of it. Raises TerrainError for fewer than 2 x 2 or
-    more than MAX_CELLS cells. extent: of all ground points.
+    Cells without a height are NaN. west, north: coordinates of the grid's borders. num_filled: number of cells without
+    points that were interpolated. cell: side of a cell in the file's unit. Cell borders are at multiples of it. extent:
+    of all ground points. Raises TerrainError for fewer than 2 x 2 or more than MAX_CELLS cells.
     """
     first, last = np.floor(extent.low / cell), np.floor(extent.high / cell)
     columns, rows = (last - first).astype(np.int64) + 1
@@ -181,24 +182,26 @@ def _grid(path: Path, extent: GroundExtent, cell: float) -> tuple[np.ndarray, fl
             fix="give another cell size (--cell)",
         )
     total, count = np.zeros(columns * rows), np.zeros(columns * rows, np.uint32)
-    for points in _pieces(path):
+    for points in _pieces(path):  # [x, y and height, point]
         column, row = (np.floor(points[:2] / cell) - first[:, None]).astype(np.int64)
-        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)  # of a file that changes meanwhile
+        # A file that changed since its extent was read may have points outside.
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
         cells = ((rows - 1 - row) * columns + column)[inside]
         np.add.at(total, cells, points[2][inside])
         np.add.at(count, cells, 1)
     with np.errstate(invalid="ignore"):
         heights = (total / count).astype(np.float32).reshape(rows, columns)
-    filled = fill_gaps(heights, REACH)
-    north = float((last[1] + 1) * cell)
-    return filled, float(first[0] * cell), north, int(np.isnan(heights).sum() - np.isnan(filled).sum())
+    filled_heights = fill_gaps(heights, REACH)
+    num_filled = int(np.isnan(heights).sum() - np.isnan(filled_heights).sum())
+    return filled_heights, float(first[0] * cell), float((last[1] + 1) * cell), num_filled
 
 
 def fill_gaps(heights: np.ndarray, reach: int) -> np.ndarray:
     """Return heights in which gaps (NaN) of at most 2 * `reach` cells are filled from their borders inwards."""
     padded = np.pad(heights, reach, constant_values=np.nan)
     valid = np.isfinite(padded)
-    # Cells with a height, and those in narrow gaps: the morphological closing of `valid`.
+    # Cells with a height, and those in narrow gaps: the morphological closing of `valid`. Growing `valid` by `reach`
+    # cells closes narrow gaps for good; growing its complement again opens only the wide ones.
     narrow = ~_dilate(~_dilate(valid, reach), reach)
     for _ in range(reach):
         empty = np.isnan(padded)

@@ -48,9 +48,10 @@ def open_source(settings: ImportSettings) -> Raster:
 
 
 def open_tile_source(settings: ImportSettings) -> Raster:
-    """Open a source as `open_source`, without warnings about wrong lengths and mirrored axes of its system.
+    """Open the source that the settings name, without warnings about wrong lengths and mirrored axes of its system.
 
-    They take a quarter of the time of a header, and those of a mosaic's grid count instead. Raises TerrainError.
+    These warnings would take a quarter of the time of reading a header. A mosaic has those of its common grid. Raises
+    TerrainError.
     """
     settings.check()
     settings.check_file()
@@ -59,7 +60,7 @@ def open_tile_source(settings: ImportSettings) -> Raster:
     path = Path(settings.source)
     check_file(path)
     try:
-        if lacks_header(path):
+        if lacks_header(path):  # samples alone, such as a .bil without its .hdr
             return open_raw(path, settings)
         form = format_of(path)
         if form is not None:
@@ -98,9 +99,9 @@ def check_named(path: Path, kind: str = "height map") -> None:
         message = reason.strerror or reason
         raise TerrainError(f"{shown(path)} cannot be read ({message})", expected=expected) from reason
     if not stat.S_ISREG(mode):
-        archive = archive_of(path)
+        archive = archive_of(path)  # the .zip that the path leads into, else the path
         fix = f"name the archive ({shown(archive)}), or unpack it" if archive != path else ""
-        fix = "download it first, because no import uses the network" if {*path.parts} & WEB else fix
+        fix = "download it first, because no import uses the network" if {*path.parts} & WEB else fix  # an address
         raise TerrainError(f"{shown(path)} {what}", expected=expected, fix=fix)
     if not os.access(path, os.R_OK):
         raise TerrainError(f"{path} may not be read by this user", fix="change its permissions")
@@ -165,7 +166,7 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
             fix="put its header there, or import it as it is",
         )
     kind = np.dtype(settings.raw_dtype)
-    usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)
+    usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)  # by the suffix
     kind = (kind if kind.itemsize == usual.itemsize else usual).newbyteorder("<" if settings.raw_little_endian else ">")
     size = path.stat().st_size  # bytes
     samples, rest = divmod(size, kind.itemsize)
@@ -195,6 +196,7 @@ def _byte_order_warnings(values: np.ndarray) -> list[str]:
     )
     if given <= SMOOTHER * other:
         return []
+    # The other order; this machine's is taken to be little-endian.
     order = "big-endian" if values.dtype.newbyteorder("=") == values.dtype else "little-endian"
     return [
         f"Neighbouring samples differ by {given:,.0f} in the mean, and by {other:,.0f} if the file is {order}: if the "

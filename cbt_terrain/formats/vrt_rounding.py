@@ -51,9 +51,9 @@ def band_element(mosaic: Mosaic, number: int, band: int) -> ElementTree.Element 
 
 
 def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | int, int, tuple[float, float]]]:
-    """Yield the sources of band `band` of text `number`, in order and once.
+    """Yield the sources of band `band` of the VRT with the index `number` in `mosaic.texts`, in order and once.
 
-    Each is a file or the number of a text, its band, and the scale and the offset that the VRT applies to its values.
+    Each is a file or the index of a nested VRT, its band, and the scale and offset that the VRT applies to its values.
     Masks, and sources of other kinds than SOURCES, are left out.
     """
     element = band_element(mosaic, number, band)
@@ -71,10 +71,11 @@ def sources_of(mosaic: Mosaic, number: int, band: int) -> Iterator[tuple[Path | 
 
 
 def _scaling(source: ElementTree.Element) -> tuple[float, float]:
-    """Return scale and offset that a source's values get.
+    """Return the scale and the offset that a VRT applies to a source's values.
 
-    For a lookup table (pairs of a value and its replacement) they are bounds for `SourceRounding`: the steepest slope,
-    and an offset with which values up to the table's largest are counted.
+    A lookup table (pairs of a value and its replacement) has neither. Its scale is the steepest slope, by which it may
+    enlarge a rounding error. `SourceRounding.half_step` estimates stored values by (height + offset) / scale, so its
+    offset is one with which these are at least the table's largest.
     """
     pairs = [tuple(map(float, pair.split(":"))) for pair in source.findtext("LUT", "").split(",") if pair.strip()]
     if not pairs:

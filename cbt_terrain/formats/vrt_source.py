@@ -104,7 +104,7 @@ def read_mosaic(path: Path, suffixes: set[str]) -> Mosaic:
 
 
 def _add_file(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: Mosaic) -> int:
-    """Read a VRT and its nested VRTs into `mosaic`, unless it has them, and return the number of its text.
+    """Read a VRT and its nested VRTs into `mosaic`, unless it has them, and return its index in `mosaic.texts`.
 
     suffixes: allowed suffixes of sources. outer: VRTs that contain it, by which a cycle is found. Raises TerrainError,
     also for an outermost VRT that is too large for a terrain.
@@ -119,11 +119,11 @@ def _add_file(path: Path, suffixes: set[str], outer: tuple[Path, ...], mosaic: M
     if real not in mosaic.numbers:
         tree = _parse(path)
         width, height = (int(tree.get(side, 0)) for side in ("rasterXSize", "rasterYSize"))
-        if not outer and min(width, height) > 1:  # before thousands of files are opened
+        if not outer and min(width, height) > 1:  # raise for too large a raster before thousands of files are opened
             lattice_for(width, height, name=shown(path))
         for name in tree.iter("SourceFilename"):
             source = _source_path(path, name, suffixes)
-            mosaic.sources[source] = None
+            mosaic.sources[source] = None  # a set in the order of the files
             name.text = str(source)
             if source.suffix.lower() == ".vrt":
                 name.text = f"/vsimem/{mosaic.folder}/{_add_file(source, suffixes, (*outer, real), mosaic)}.vrt"
@@ -144,8 +144,8 @@ def _within_float32(text: str) -> str:
 def _source_path(path: Path, name: ElementTree.Element, suffixes: set[str]) -> Path:
     """Return the file that a SourceFilename in the VRT `path` names, an absolute path without `..` (without_dots).
 
-    Raises TerrainError unless it is a regular file with one of the suffixes and holds XML only as a VRT, since GDAL
-    would open any other as one.
+    Raises TerrainError unless it is a regular file of this computer (`_is_local`) with one of the suffixes, and if it
+    holds XML without being a .vrt, since GDAL would open it as a VRT.
     """
     text = (name.text or "").strip()
     source = path.parent / text if name.get("relativeToVRT") == "1" else Path(text)
@@ -170,7 +170,10 @@ def _is_local(source: Path, path: Path) -> bool:
 
 
 def _parse(path: Path) -> ElementTree.Element:
-    """Return the allowed elements of a VRT. Raises TerrainError for elements on neither list and for damaged XML."""
+    """Return the elements of a VRT that are in ALLOWED, without those in IGNORED.
+
+    Raises TerrainError for other elements and for damaged XML.
+    """
     content = read_start(path, MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
         what = f"{shown(path)} holds more than {MAX_BYTES >> 20} MB of XML"
@@ -200,7 +203,8 @@ class _Reader:
         """Open an element, or skip it if it is ignored.
 
         Raises TerrainError for elements and attributes that are not listed: ALLOWED has the attributes and children of
-        each element. PLAIN are attributes with their default values, which are left out.
+        each element. PLAIN are attributes with their default values, which are left out. `open` has the names of the
+        open elements, and `ignored` is the depth below an ignored one.
         """
         self.count += 1
         if self.count > MAX_ELEMENTS or len(self.open) + self.ignored >= MAX_DEPTH:
@@ -217,7 +221,7 @@ class _Reader:
             self._check_value(name, key, value)
         self.builder.start(name, {key: value for key, value in attributes.items() if (key, value) not in PLAIN})
         self.open.append(name)
-        self.pieces, self.length = [], 0
+        self.pieces, self.length = [], 0  # of the element's text
 
     def end(self, name: str) -> None:
         """Close an element and check its text. Raises TerrainError."""
@@ -225,7 +229,8 @@ class _Reader:
             self.ignored -= 1
             return
         text = "".join(self.pieces).strip()
-        if name in ALLOWED and name not in TEXTS and name != "SourceFilename":  # it holds elements alone
+        # Elements in ALLOWED hold other elements alone, except those in TEXTS and names, which `_source_path` checks.
+        if name in ALLOWED and name not in TEXTS and name != "SourceFilename":
             if text:
                 self._refuse(f"the text {shown(text, 40)!r} in <{name}>")
         elif name != "SourceFilename":

@@ -60,7 +60,7 @@ def height_scale(band_unit: str, crs: CRS | None, scale: float, offset: float) -
         crs: a rasterio CRS or None; its vertical axis defines the unit if the band has none or an unknown one.
         scale, offset: the band's; a height is value * scale + offset in its unit.
     """
-    vertical = vertical_unit(crs)
+    vertical = vertical_unit(crs)  # name, metres, and whether it counts depths; None without a vertical axis
     known = metres_of(band_unit)
     if known is None and vertical:
         return HeightScale(*vertical[:2], scale, offset)
@@ -104,7 +104,8 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
 def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
     """Return the warning that a VRT lacks a unit, or a scale and an offset.
 
-    scale: those of the mosaic's files. lacks_unit, lacks_scale: which of them the VRT lacks.
+    scale: unit, metres in a unit (None if unknown), scale and offset of the mosaic's files. lacks_unit, lacks_scale:
+    which of them the VRT lacks.
     """
     missing = HeightScale(
         scale.unit if lacks_unit else "",

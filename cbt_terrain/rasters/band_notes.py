@@ -26,7 +26,11 @@ WHOLE_FILE = "a whole file of that kind"
 
 
 def band_notes(dataset: DatasetReader, band: int, driver: str) -> list[str]:
-    """Return warnings about one band of a rasterio dataset. driver: GDAL's name of the format."""
+    """Return warnings about a band that may not hold heights, or only coarse ones.
+
+    They are about other bands or channels in the file, colours of a palette, and 8 bits a sample. dataset: of rasterio.
+    driver: GDAL's name of the format.
+    """
     from rasterio.enums import ColorInterp
 
     notes, is_picture = [], driver == "PNG"
@@ -62,6 +66,7 @@ def content_hint(path: Path, driver: str) -> dict[str, str]:
         head = read_start(path, 16)
     except OSError:
         head = b""
+    # What the content is, if it begins like a known kind; DRIVER_KINDS are those that a driver reads.
     kind = next((name for start, name in CONTENTS if head.startswith(start)), "")
     if kind and kind not in DRIVER_KINDS.get(driver, ()):
         expected = f"a file of that kind, and by its content it is {kind}"

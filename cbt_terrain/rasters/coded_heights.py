@@ -99,6 +99,7 @@ def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> Dataset
     shape = {"width": dataset.width, "height": dataset.height, "count": 1, "dtype": "uint32"}
     place = {"crs": dataset.crs, "transform": dataset.transform}
     tile = tile_of(path)
+    # A web map tile that has no position itself has one by its path.
     if tile is not None and dataset.transform.is_identity and dataset.width == dataset.height:
         place = _tile_place(tile, dataset.width)
     memory = rasterio.MemoryFile(ext=".tif")
@@ -133,7 +134,7 @@ def _recognise_coding(path: Path, dataset: DatasetReader) -> str:
     valid = codes != MISSING
     tile = tile_of(path)
     assert tile is not None, "its path is that of a tile"
-    pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width  # metres
+    pixel = 2.0 * HALF_WORLD / (1 << tile[0]) / dataset.width  # metres; at zoom z, tile[0], 2^z tiles span the world
     possible = []
     for name, coding in CODINGS.items():
         heights = np.where(valid, codes * coding.scale + coding.offset, np.nan)

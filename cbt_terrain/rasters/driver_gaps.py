@@ -80,9 +80,10 @@ def _correct_grib(_path: Path, dataset: DatasetReader, band: int, facts: BandFac
 
 
 def _correct_terragen(_path: Path, _dataset: DatasetReader, _band: int, facts: BandFacts) -> BandFacts:
-    """Drop the name of a system that is not on Earth. GDAL returns the north first, and places it in the south.
+    """Drop the coordinate system, which is not on Earth, and let the geotransform begin with the northern row.
 
-    facts: as GDAL reports them.
+    GDAL returns the northern row first, but with a geotransform in which y rises from row to row. facts: as GDAL
+    reports them.
     """
     assert facts.grid.transform is not None, "the format always has one"
     a, b, c, d, e, f = facts.grid.transform

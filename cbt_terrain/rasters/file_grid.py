@@ -70,20 +70,23 @@ def grid_of(dataset: DatasetReader) -> FileGrid:
 
 
 def _from_control_points(points: list, crs: CRS) -> FileGrid:
-    """Return the straight grid through ground control points.
+    """Return the straight grid through ground control points, by least squares.
 
-    Without one, the grid has a `problem` that says why. points: rasterio's GroundControlPoints. crs: their system.
+    If it misses one by more than MAX_GCP_CELLS, return a grid without a transform, with a `problem` that says why.
+    points: rasterio's GroundControlPoints. crs: their system.
     """
     pixels = np.array([(point.col, point.row, 1.0) for point in points], np.float64)
     ground = np.array([(point.x, point.y) for point in points], np.float64)
     if np.isfinite(pixels).all() and np.isfinite(ground).all():
         # Differences from the means make the least squares accurate. The column of ones stays as it is.
         mean_pixel, shift = pixels.mean(axis=0) * (1.0, 1.0, 0.0), ground.mean(axis=0)
+        # fit: [3, 2], x and y for a column, for a row, and the constant.
         fit, _, rank, _ = np.linalg.lstsq(pixels - mean_pixel, ground - shift, rcond=None)
         if rank == 3:  # the points are not on one line
-            # How far the grid misses each point, in columns and rows, [2, n].
+            # How far the grid misses each point, [2, n]: the second fit turns differences on the ground into cells.
             offsets = np.linalg.lstsq(fit[:2].T, (product(pixels - mean_pixel, fit) + shift - ground).T, rcond=None)[0]
             if lengths(offsets).max() <= MAX_GCP_CELLS:
+                # The constant for coordinates that are no differences: ground = fit(pixel - mean_pixel) + shift.
                 (a, d), (b, e), (c, f) = fit[0], fit[1], fit[2] + shift - product(mean_pixel[None, :2], fit[:2])[0]
                 a, b, c, d, e, f = (float(f"{number:.13g}") for number in (a, b, c, d, e, f))  # more digits are noise
                 return FileGrid(crs, without_rounded_skew((a, b, c, d, e, f)))
@@ -92,9 +95,10 @@ def _from_control_points(points: list, crs: CRS) -> FileGrid:
 
 
 def unit_of(crs: CRS | None) -> dict:
-    """Return the arguments of `from_transform` for a coordinate system: its unit, and the ellipsoid of degrees.
+    """Return the unit of a coordinate system, as arguments of `from_transform`.
 
-    {} without a system, whose unit is the metre.
+    They are {"degrees": degrees in a unit, "ellipsoid": semi-major axis in metres and inverse flattening} of a
+    geographic system, else {"metres": metres in a unit}; {} without a system, whose unit is the metre.
     """
     if crs is not None and crs.is_geographic:
         return {"degrees": math.degrees(crs.units_factor[1]), "ellipsoid": ellipsoid_of(crs.to_wkt())}
@@ -135,11 +139,12 @@ def find_positions(source: CRS, target: CRS, x: np.ndarray, y: np.ndarray) -> tu
     from rasterio.errors import CRSError
     from rasterio.warp import transform
 
+    # GDAL raises an error for the first REPORTED positions that it cannot transform, and returns infinity for others.
     for attempt in range(REPORTED + 1):
         try:
             found = transform(source, target, x, y)
             break
-        except Exception as reason:  # perhaps at one of the positions that GDAL reports
+        except Exception as reason:  # perhaps at one of those positions, so try again
             if attempt == REPORTED or isinstance(reason, CRSError):
                 raise
     return np.array(found[0]), np.array(found[1])
@@ -152,7 +157,10 @@ def base_crs(crs: CRS) -> CRS | None:
 
 @functools.lru_cache(maxsize=64)
 def _base_of(wkt: str) -> CRS | None:
-    """Return the geographic system below that of a WKT; the files of a mosaic share a few."""
+    """Return the geographic system on which the projected system of a WKT is based; None without one.
+
+    The result is cached, because the files of a mosaic share a few systems.
+    """
     from rasterio.crs import CRS
 
     parts = [CRS.from_wkt(wkt).to_dict(projjson=True)]

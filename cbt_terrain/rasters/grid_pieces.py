@@ -134,9 +134,11 @@ def interpolation_error(exact: np.ndarray) -> float:
 
 
 def resample_piece(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, result: PieceValues) -> None:
-    """Write to `result` the samples of a piece for which a source has a higher rank than those so far.
+    """Write to `result` the samples of a piece for which a source has a higher rank (priority) than those so far.
 
-    nodes: positions in the source at the nodes of the piece's block. window: the source's samples around the piece.
+    A kernel does it row by row. nodes: positions in the source, columns u and rows v, at the nodes of the piece's
+    block, and the largest errors of positions between nodes. window: the source's samples around the piece, the first
+    at column `left` and row `top`. result: also gets in `moved` how far these errors can change each value.
     """
     import warp as wp
 
@@ -145,7 +147,7 @@ def resample_piece(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, r
     height, width = window.values.shape
     inputs = [
         piece.columns,
-        piece.column % BLOCK,
+        piece.column % BLOCK,  # the piece's first sample in its block
         piece.row % BLOCK,
         nodes.spacing,
         flat(nodes.u, wp.float64),
@@ -163,4 +165,5 @@ def resample_piece(piece: GridPiece, nodes: BlockNodes, window: LatticeWindow, r
         flat(result.ranks, wp.int32),
         flat(result.moved, wp.float64),
     ]
+    # Items of the launch are rows; a sample costs about 30 ns, twice the unit of `cost`.
     launch.spread(resample.resample_rows, piece.rows, inputs, step="resample", threads=None, cost=2.0 * piece.columns)

@@ -53,11 +53,11 @@ def mirror_warnings(grid: FileGrid, width: int, height: int) -> list[str]:
     )
     if transformed is None or not np.isfinite(transformed[0]).all():
         return []
-    longitude, latitude = np.radians(transformed[0])
+    longitude, latitude = np.radians(transformed[0])  # of the four points, from degrees [2, 4]
     # The same points as unit vectors from the centre of the Earth.
     points = np.stack([np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)])
     along_x, along_y, up = points[:, 1] - points[:, 0], points[:, 3] - points[:, 2], points.sum(axis=1)
-    if (np.cross(along_x, along_y) * up).sum() >= 0.0:
+    if (np.cross(along_x, along_y) * up).sum() >= 0.0:  # x, y and up are right-handed
         return []
     name = grid.name[:80]
     # Degrees east and north from the first to the second point, along x and along y.
@@ -112,10 +112,10 @@ def _remedy(name: str, latitude: float) -> str:
 
 
 def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tuple[np.ndarray, float]:
-    """Return the ratios of steps along x and y to true steps, float64 [n, 2], the raster's middle first.
+    """Return how many times longer the steps of `place` along x and y are than on the ground: float64 [points, 2].
 
-    Further rows are points on the border. Also return the middle's latitude, degrees. There are no rows if PROJ cannot
-    transform the middle. place: has the steps along x and y.
+    The first point is the raster's middle, the others are on its border. There is none if PROJ cannot transform the
+    middle. Also return the middle's latitude, degrees. width, height: samples of the raster.
     """
     along = np.linspace(0.0, 1.0, BORDER_POINTS)
     ends = np.zeros_like(along), np.ones_like(along)
@@ -127,13 +127,15 @@ def _factors(grid: FileGrid, width: int, height: int, place: Georeference) -> tu
     degrees = _degrees(grid.crs, x.ravel(), y.ravel())
     if degrees is None:
         return np.empty((0, 2)), 0.0
-    (longitude, latitude), ellipsoid = degrees[0].reshape(2, *x.shape), degrees[1]
+    (longitude, latitude), ellipsoid = degrees[0].reshape(2, *x.shape), degrees[1]  # longitude, latitude: [end, point]
+    # Metres in a degree of longitude and in one of latitude, [2, point].
     degree_metres = np.array([_metres_per_degree(float(point), ellipsoid) for point in latitude.mean(axis=0)]).T
+    # Metres between the ends 0 and 1 (next columns), and between the ends 2 and 3 (next rows), at each point.
     column_step, row_step = (
         lengths(np.stack([_within_180(longitude[k + 1] - longitude[k]), latitude[k + 1] - latitude[k]]) * degree_metres)
         for k in (0, 2)
     )
-    steps = (row_step, column_step) if place.transposed else (column_step, row_step)
+    steps = (row_step, column_step) if place.transposed else (column_step, row_step)  # along x and y, metres
     with np.errstate(divide="ignore"):
         ratios = np.stack([place.step_x / steps[0], place.step_y / steps[1]], axis=1)
     if not np.isfinite(ratios[0]).all():

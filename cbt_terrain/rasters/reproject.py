@@ -45,6 +45,7 @@ def reproject(path: Path, dataset: DatasetReader, grid: FileGrid, settings: Impo
             f"{shown(path)} names no coordinate system, so it cannot be reprojected",
             fix="give it one (gdal_edit -a_srs), or import it as it is",
         )
+    # `_centred`: its longitudes must not pass 180 degrees from the prime meridian. A sheared raster needs no system.
     source = _centred(grid, dataset) if grid.crs is not None else grid._replace(crs=CRS.from_wkt(UNNAMED))
     crs = _target_system(path, dataset, source, settings.project) if settings.project else source.crs
     transform, width, height = _target_grid(path, dataset, source, crs)
@@ -73,6 +74,7 @@ def _centred(grid: FileGrid, dataset: DatasetReader) -> FileGrid:
     new_meridian = (float(meridian[1]) + middle + 180.0) % 360.0 - 180.0
     wkt = f'{wkt[: meridian.start()]}PRIMEM["moved",{new_meridian!r}]{wkt[meridian.end() :]}'
     a, b, c, d, e, f = grid.placed
+    # Without its EPSG code, which would stand for the old meridian.
     return FileGrid(CRS.from_wkt(_CODE.sub("]", wkt)), (a, b, c - middle, d, e, f))
 
 
@@ -119,9 +121,8 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
     Raises TerrainError. crs: the new system.
     """
     right, bottom = dataset.width - 0.5, dataset.height - 0.5  # samples are in the middle of cells
-    # samples along the northern, southern, western and eastern side
-    sides = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES)
-    columns, rows = sides.T
+    columns, rows = np.linspace([0.5, 0.5], [right, bottom], BORDER_SAMPLES).T
+    # the northern, southern, western and eastern side
     columns = np.concatenate([columns, columns, np.full_like(rows, 0.5), np.full_like(rows, right)])
     rows = np.concatenate([np.full_like(rows, 0.5), np.full_like(rows, bottom), rows, rows])
     x, y = _transform_points(path, source.crs, crs, *source.positions(columns, rows))
@@ -129,8 +130,10 @@ def _target_grid(path: Path, dataset: DatasetReader, source: FileGrid, crs: CRS)
     # the middle, and the next samples along its row and its column
     near = source.positions(np.array([column, column + 1.0, column]), np.array([row, row, row + 1.0]))
     near_x, near_y = _transform_points(path, source.crs, crs, *near)
+    # Steps of a straight grid of the same density, from the steps along a row and along a column.
     step_x, step_y = _steps(near_x[1] - near_x[0], near_x[2] - near_x[0], near_y[1] - near_y[0], near_y[2] - near_y[0])
-    width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))  # rounding loses none
+    # 1e-6: rounding must not lose the last column or row.
+    width, height = (int(np.ptp(c) / step + 1e-6) + 1 for c, step in ((x, step_x), (y, step_y)))
     name = crs.to_string()[:80]
     if width * height > MAX_GROWTH * dataset.width * dataset.height + EXTRA_SAMPLES:
         raise TerrainError(
@@ -180,9 +183,9 @@ def _check_way_back(path: Path, dataset: DatasetReader, source: FileGrid, crs: C
 def _transform_points(
     path: Path, source: CRS, target: CRS, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in another coordinate system, x and y, float64 [n] each. Raises TerrainError.
+    """Return positions in another coordinate system, x and y, float64 [n] each.
 
-    target: the other system.
+    Raises TerrainError if one has no position there. target: the other system. path: the raster, for the error.
     """
     from rasterio.warp import transform
 

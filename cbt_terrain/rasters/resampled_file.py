@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Windows of a file on another grid. They have the same bits however the grid is divided into windows."""
+"""Windows of a file on another grid. They have the same bits however the grid is divided into windows.
+
+For that, positions in the file are computed by whole blocks of BLOCK x BLOCK samples of the grid: by PROJ at nodes, and
+between nodes by interpolation.
+"""
 
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -98,6 +102,7 @@ class ResampledFile:
             slice(x // spacing, (x + piece.columns - 1) // spacing + 2),
         )
         ends = []
+        # SNAPPED: a position this near to the file counts as inside. EDGE: samples that interpolation needs around it.
         for values, count in zip((nodes.u[around], nodes.v[around]), self._plan.file_size, strict=True):
             finite = values[np.isfinite(values)]
             if not finite.size or finite.max() < 0.0 - SNAPPED or finite.min() > count - 1 + SNAPPED:
@@ -107,7 +112,11 @@ class ResampledFile:
         return ends[0][0], ends[1][0], ends[0][1], ends[1][1]
 
     def _file_window(self, left: int, top: int, right: int, bottom: int) -> LatticeWindow:
-        """Return the file's samples of a box, which may extend beyond the file: first column and row, and the ends."""
+        """Return the file's samples in a box, NaN beyond the file, as the kernels of mosaics read them.
+
+        left, top: the box's first column and row in the file. right, bottom: the ends of both. The file is the only
+        tile of the window, of rank 0; samples beyond it have the rank UNCOVERED, missing ones NO_DATA.
+        """
         width, height = self._plan.file_size
         x0, y0, x1, y1 = max(left, 0), max(top, 0), min(right, width), min(bottom, height)
         values = np.full((bottom - top, right - left), np.nan)
@@ -115,21 +124,24 @@ class ResampledFile:
         inside = slice(y0 - top, y1 - top), slice(x0 - left, x1 - left)
         heights = self._read(y0, y1 - y0, x0, x1 - x0)
         values[inside], ranks[inside] = heights, np.where(np.isfinite(heights), 0, NO_DATA)
-        return LatticeWindow(values, ranks, left, top, np.array([[0, 0, width - 1, height - 1]]), np.array([0]))
+        rectangles = np.array([[0, 0, width - 1, height - 1]])
+        return LatticeWindow(values, ranks, left, top, rectangles, tile_ranks=np.array([0]))
 
     def _find_nodes(self, column: int, row: int) -> BlockNodes:
         """Return the positions of a block's samples in the file, at nodes. column, row: number of the block.
 
-        The nodes end at the grid's border, because positions beyond are of no use and may not exist.
+        Nodes have the widest of SPACINGS for which interpolated positions are off by TOLERANCE at most. They end at the
+        grid's border, because positions beyond are of no use and may not exist.
         """
         if self._plan.source.crs == self._plan.target.crs:  # linear, so any spacing is exact
             u, v = self._exact(column, row, SPACINGS[0], SPACINGS[0])
             return BlockNodes(u, v, SPACINGS[0], SNAPPED, SNAPPED)
         for spacing in SPACINGS:
-            exact = self._exact(column, row, spacing // 2, spacing)
+            exact = self._exact(column, row, spacing // 2, spacing)  # at nodes, and halfway to measure the errors
             errors = [interpolation_error(values) for values in exact]
             if max(errors) <= TOLERANCE and np.isfinite(exact).all():
                 u, v = (np.ascontiguousarray(values[::2, ::2]) for values in exact)
+                # Elsewhere in a cell errors may be larger by MARGIN, and a position snaps to a sample within SNAPPED.
                 return BlockNodes(u, v, spacing, MARGIN * errors[0] + SNAPPED, MARGIN * errors[1] + SNAPPED)
         # The last spacing has computed every sample.
         return BlockNodes(exact[0], exact[1], spacing=1, error_u=SNAPPED, error_v=SNAPPED)
@@ -137,15 +149,16 @@ class ResampledFile:
     def _exact(self, column: int, row: int, step: int, spacing: int) -> np.ndarray:
         """Return exact columns and rows of the file at every `step` samples of a block: float64 [2, rows, columns].
 
-        column, row: number of the block. spacing: samples between nodes, of which some are beyond the grid's border.
+        A block at the grid's border ends at the first node on or beyond that border. column, row: number of the block.
+        spacing: samples between nodes.
         """
-        source, target, file_size, size = self._plan
-        samples = []
+        source, target, file_size, size = self._plan  # grids of the file and of the result, and their columns and rows
+        samples = []  # numbers of the block's columns and rows in the grid
         for number, count in zip((column, row), size, strict=True):
             cells = min(BLOCK, -(-(count - number * BLOCK) // spacing) * spacing)
             samples.append(number * BLOCK + np.arange(0.0, cells + 1.0, step))
         columns, rows = np.meshgrid(*samples)
-        x, y = target.positions(columns + 0.5, rows + 0.5)
+        x, y = target.positions(columns + 0.5, rows + 0.5)  # samples are in the middle of cells
         if source.crs != target.crs:
             found = find_positions(target.crs, source.crs, x.ravel(), y.ravel())
             x, y = (values.reshape(columns.shape) for values in found)

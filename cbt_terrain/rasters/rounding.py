@@ -47,8 +47,8 @@ class SourceRounding:
     def half_step(self, largest: float) -> float:
         """Return the largest rounding error of heights up to `largest`, in their unit.
 
-        It is half the step between stored values there, the whole step if digits were cut, with the errors before
-        storing.
+        It is half the step between stored values of that size, or the whole step if digits were cut. The error of a
+        compression and those of the values from which these were computed (`before`) are added.
         """
         kind, scale = np.dtype(self.stored), abs(self.scale)
         if scale == 0.0:
@@ -57,7 +57,7 @@ class SourceRounding:
         error = self.error + (self.before.half_step(value) if self.before else 0.0)
         if kind.kind != "f":
             return scale * (0.5 + error)
-        # The step of a float depends on its power of two and on its number of significant bits.
+        # Floats below 2^exponent, from half of it on, have steps of 2^(exponent - significant bits).
         limits = np.finfo(kind)
         value = min(value, float(limits.max))
         lowest = int(limits.minexp) + 1  # smaller floats have the same spacing

@@ -83,7 +83,7 @@ def read_aux(file: Path) -> str:
     depth, texts, in_system = 0, [], False
 
     def refuse(problem: str) -> None:
-        """Raise TerrainError: the file is not read, because it has a `problem`."""
+        """Raise TerrainError: the file is not read. problem: the reason, a clause whose subject is the file."""
         raise TerrainError(f"{shown(file)} is not read, because it {problem}", fix="write it again with GDAL")
 
     def start(name: str, attributes: dict[str, str]) -> None:

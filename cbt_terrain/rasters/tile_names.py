@@ -22,7 +22,7 @@ def is_tile(name: str, lower: Collection[str]) -> bool:
     if is_archive_name(name):
         # A .gz names its content; any .zip may hold tiles.
         return (suffix != ".gz" or _has_driver(stem)) and not _is_beside(stem, lower)
-    if not _has_driver(name):
+    if not _has_driver(name):  # by its suffix no raster with a position
         return False
     return suffix != PICTURE or any(stem + world in lower for world in WORLD_FILES)
 

@@ -53,7 +53,11 @@ _PLANE = re.compile(_AXIS.format("(north|south|east|west|northEast|northWest|sou
 
 
 def metres_of(name: str) -> float | None:
-    """Return the metres in a unit of length, None for an unknown name."""
+    """Return the metres in a unit of length, None for an unknown name.
+
+    In a name such as "US survey mile", a word of FEET gives the number of feet, and the rest of the name tells by FOOT
+    which foot it is.
+    """
     name = name.strip().casefold()
     if name in METRES:
         return METRES[name]
@@ -64,7 +68,7 @@ def metres_of(name: str) -> float | None:
     for text in (name, name.removesuffix("s") if len(name) > 2 else name):  # as it is, and without a plural
         if text in METRES and (is_whole or len(text) > MAX_SYMBOL):  # "m m" is not mm
             return METRES[text]
-        for word, feet in FEET.items():  # the rest of the name tells which foot
+        for word, feet in FEET.items():
             before, found, after = text.partition(word)
             if found and before + after in FOOT:
                 return feet * FOOT[before + after]

@@ -36,7 +36,7 @@ _joined_frames: dict[int, tuple[int, float]] = {}  # the same of other scenes th
 def _unless_paused(handler):
     """Decorate a handler: do nothing during a pause (pauses.py), and let Ctrl-C wait until the handler ends.
 
-    A change of the scene is noted in a pause, too, because Blender does not report it again.
+    A change of the scene is noted in a pause, too (`_note_scene_change`), because Blender does not report it again.
     """
 
     @persistent
@@ -52,7 +52,10 @@ def _unless_paused(handler):
 
 
 def _note_scene_change(depsgraph) -> None:
-    """Record which objects of the scene changed, for updates that read them later; call it in a pause, too."""
+    """Drop the cached reading of the scene's materials and nodes if the change may alter it; call it in a pause, too.
+
+    It tells which attributes the next update has to compute.
+    """
     if depsgraph is not None and depsgraph.mode == VIEWPORT:
         demand_cache.note_update(depsgraph)
 
@@ -122,7 +125,7 @@ def on_frame_change(scene, depsgraph) -> None:
 
     Objects come first, also in a pause, because a terrain may be refined for a camera among them.
     """
-    _note_scene_change(depsgraph)  # before another evaluation puts its own in place
+    _note_scene_change(depsgraph)  # first: evaluating the graph again would replace its list of changes
     with stopping.held():
         failed = _settle_objects(scene, depsgraph)
         if not pauses.is_paused():
@@ -134,6 +137,7 @@ def _settle_objects(scene, depsgraph) -> list[TerrainError]:
 
     Notes are printed. Return the error in a list, [] without one: an object that a render needs could not be placed.
     """
+    # Missing ground is computed only if the frame is used when the handler returns.
     waits = depsgraph.mode == RENDER or pauses.is_paused() or _mesh_is_needed_now()
     try:
         for note in keep_ground.settle(scene, depsgraph, depsgraph.mode, waits=waits, frame_changes=True):
@@ -150,8 +154,8 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
     timer's next turn.
 
     At another time of a render, as of motion blur, the mesh stays. If the wait for an import was ended, no terrain is
-    updated. `failed`: errors of `_settle_objects`, to which others are added. A render with errors is handled as a
-    stale frame.
+    updated. `failed`: errors of `_settle_objects`, to which others are added. After an error the frame is stale: it
+    shows meshes of another frame, and the scene's settings decide whether the render ends.
     """
     if depsgraph.mode == RENDER:
         if _rendered_frame(scene) == (scene.frame_current, scene.frame_subframe):
@@ -159,7 +163,7 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
             failed += incomplete.wait_for_imports(terrains, depsgraph) or update_all(scene, depsgraph, RENDER)
             if failed:
                 stale_renders.handle_stale_frame(scene, failed)
-            incomplete.note_incomplete(scene, terrains)
+            incomplete.note_incomplete(scene, terrains)  # reports terrains without all their tiles
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)
     else:
@@ -169,7 +173,7 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
 @_unless_paused
 def on_render_pre(scene, _unused=None) -> None:
     """Record the frame that is to be rendered, and return freed memory to the system for the renderer."""
-    freed_memory.give_back()  # a render needs the memory, and takes longer than fresh pages do
+    freed_memory.give_back()  # The render needs it. Getting fresh pages later takes less time than the render.
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
     _joined_frames.clear()
 
@@ -191,7 +195,7 @@ def on_render_end(scene, _unused=None) -> None:
     stale_renders.exit_if_stopped()
     stale_renders.report_stale_frames()
     render_wait.forget_cancelling()
-    _rendered_frames.clear()
+    _rendered_frames.clear()  # no scene is rendered now, nor one that a compositor takes in (`_joined_frames`)
     _joined_frames.clear()
     if bpy.app.background:
         _update_viewport(scene, bpy.context.evaluated_depsgraph_get())

@@ -14,7 +14,7 @@ from .session.polls import cancelled_by_errors, invoke_with_file, on_terrain, on
 
 
 class JobOperator:
-    """Base of operators that run a job: beside the window when they are invoked, at once when a script calls them.
+    """Base of operators that run a job: in the background when they are invoked, at once when a script calls them.
 
     A subclass has `kind`, a JobKind; `steps(context, job)`, which does the work and returns a result that is not None;
     and `finish(context, obj, result)`, which puts the result into the file. `context` of `steps` is that of the first
@@ -24,7 +24,7 @@ class JobOperator:
     Attributes:
         job: the BackgroundJob, None before it is started.
         poll_s: seconds between ticks of the timer.
-        beside_window: whether the operator was invoked.
+        beside_window: whether the operator was invoked, so that its job runs in the background.
         shown, looked: progress when panels were last redrawn, and time when the terrain was last looked for.
     """
 
@@ -138,7 +138,7 @@ class JobOperator:
         job = self.job
         obj = job.terrain()
         if job.uid is not None and obj is None:
-            self.abandon()
+            self.abandon()  # lets a subclass react to the removal of the terrain
             return {"CANCELLED"}
         if job.result is not None:
             self.finish(context, obj, job.result)

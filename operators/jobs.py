@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs that run beside the window: their progress, their steps and the operator that cancels them.
+"""Background jobs, which leave the window usable: their progress, their steps and the operator that cancels them.
 
 A job is a generator of steps. A timer takes the steps on the main thread; long work runs on a thread (`run_on_thread`)
 or in a child process (`run_in_child`) while the steps only wait for it, and the scene's frames are visited a few at a
@@ -69,7 +69,9 @@ class JobStopped(Exception):
 
 
 class BackgroundJob:
-    """Work that runs beside the window. It is in `running` from its creation until its steps have ended.
+    """Work in the background, while the window stays usable.
+
+    It is in `running` from its creation until its steps have ended.
 
     Attributes:
         uid: session_uid of the job's terrain, None for a job of the whole file.
@@ -258,7 +260,7 @@ def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
     thread.start()
     try:
         while thread.is_alive():
-            job.answer_calls()
+            job.answer_calls()  # functions that `work` wants to be called on the main thread
             yield
     finally:
         if thread.is_alive():
@@ -279,7 +281,7 @@ def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
             job.fraction, job.message = progress.fraction, progress.message
             yield
     finally:
-        child.cancel()
+        child.cancel()  # only if it still runs
         job.child = None
     if child.cancelled:
         raise JobStopped
@@ -294,7 +296,7 @@ def visit_frames(job: BackgroundJob, visits: Iterator) -> Steps:
     visits: yields a float after each frame, the fraction done, and as its last item the result, which this returns. It
     is closed in any case. Raises JobStopped if the job was cancelled, or undo has replaced the scene.
     """
-    with closing(visits):  # the scene is at its frame again
+    with closing(visits):  # its end returns the scene to the frame before
         turn_ends = time.monotonic() + TURN_S
         try:
             for found in visits:
@@ -370,7 +372,7 @@ class CancelJob(bpy.types.Operator):
 
 
 def stop_all() -> None:
-    """Stop every job, because its operator is about to go."""
+    """End every job at once, because its operator is about to be unregistered."""
     for job in list(running):
         job.close()
         if job.timer is not None:

@@ -75,7 +75,7 @@ def register() -> None:
     for menu, entry in MENU_ENTRIES:
         menu.append(entry)
     bpy.utils.register_preset_path(PRESETS)
-    store_paths.move_old_stores()
+    store_paths.move_old_stores()  # of earlier versions, into the present data folder
     for service in SERVICES:
         service.start()
     if bpy.app.binary_path:
@@ -105,6 +105,6 @@ def unregister() -> None:
         bpy.utils.unregister_class(cls)
     for forget in (handlers.forget, import_terrain.forget, images.forget, keep_ground.forget):
         forget()
-    ground_properties.look_again()
+    ground_properties.look_again()  # forgets whether any object is kept on the ground
     session.clear()
     freed_memory.unregister()

@@ -12,9 +12,12 @@ HEAD = ["effect", "samples apart, m", "added, m rms", "m at most", "ms"]
 
 
 def land_section(heights: HeightField, of: str) -> list:
-    """Return blocks of the accuracy page about shaped land; [] for land that no stack has shaped.
+    """Return blocks of the accuracy page about shaped land; [] if no height operators have changed the heights.
 
-    Their table has a row for each operator of the stack and level, the finest level of an operator first.
+    Their table has a row for each height operator and level of resolution, the finest level of an operator first. The
+    store's provenance has a record for each: the operator's number ("entry") and name, the level's number (0: finest)
+    and sample distance, the difference of heights to the next coarser level, the time, and the number of tiles that
+    were computed (0 if all were cached).
 
     of: " of NAME" for headings if the page has several terrains, else "".
     """
@@ -42,9 +45,9 @@ def land_section(heights: HeightField, of: str) -> list:
 
 
 def _finest_level_text(added: list[dict]) -> str:
-    """Return a sentence about what would be saved and lost without the finest level.
+    """Return a sentence about the time that would be saved, and the error, without the finest level.
 
-    It is "" if there is one level only, or if some were known before, so that their times are not those of this run.
+    It is "" if there is only one level, or if a level of an operator was cached: its time is not known.
     added: records of a shaped store's provenance, one a level and operator.
     """
     level_of = itemgetter("level")  # 0 is the finest

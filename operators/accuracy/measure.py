@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measure what errors cost on a terrain, and how large they are, as it is set."""
+"""Measure what errors cost on a terrain with its settings, and how large the errors of its mesh are.
+
+A Request holds everything that an update of a terrain depends on, so it can be measured without touching Blender.
+"""
 
 import json
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +22,8 @@ from .measuring import MeasuringOperator
 if TYPE_CHECKING:
     from ...cbt_terrain.accuracy.measure import Measurement
 
-MAX_TRIANGLES = 1 << 22  # a finer error is left out of the curve: it would take long, and memory that the scene needs
+# Triangles of the largest measured mesh. A finer error is left out: it takes long, and memory that the scene needs.
+MAX_TRIANGLES = 1 << 22
 TRIES = 3  # measurements of an error whose runs differ too much: the window is drawn by this process, too
 DETAIL = {VIEWPORT: "viewport", RENDER: "render"}  # mode -> property group of its settings
 
@@ -89,8 +93,10 @@ def measure_requests(requests: dict[str, Request], on_progress) -> dict[str, Res
 def measure_request(field, request: Request, on_progress) -> Result:
     """Measure what different errors cost on a terrain, and the true errors of the mesh of `request`.
 
-    The errors are those of a sweep and the request's own, coarse first, until one needs too many triangles. The mesh
-    has the error of the request's criterion; with a time budget the one that fits it by the new curve, if there is one.
+    The errors are those of a sweep and the request's own, coarse first, until one needs too many triangles. Each is
+    timed up to TRIES times, until its runs agree; if they never do, there is no curve of costs. The mesh has the error
+    of the request's criterion; with a time budget the one that fits it by the new curve, if there is one. Of several
+    views, the largest errors count.
 
     field: the height field. request: its criterion has an error. on_progress: called with the fraction done and a
     message; may raise to stop. Raises TerrainError if no two errors can be measured.
@@ -101,10 +107,10 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
     request = replace(request, frozen="")  # costs are those of a mesh that follows its camera
     unit = requested_unit(request.criterion)
-    name = f"error_{unit}"  # of the criterion's field
+    field_name = f"error_{unit}"  # of the criterion
     relief_m = (field.max_height - field.min_height) * abs(request.vertical_scale)
     swept = PIXELS if unit == "px" else metre_steps(relief_m)
-    errors = sorted({getattr(request.criterion, name), *swept}, reverse=True)
+    errors = sorted({getattr(request.criterion, field_name), *swept}, reverse=True)
     frame = TimedFrame(request.views, request.placement, request.vertical_scale, request.vertical_offset)
     views = frame.views or [None]  # None: without a view only heights are measured
     steps = len(errors) + len(views)
@@ -117,9 +123,9 @@ def measure_request(field, request: Request, on_progress) -> Result:
             return 0.0  # nothing is written
 
         on_run()
-        criterion = replace(request.criterion, **{name: error}, max_triangles=MAX_TRIANGLES)
+        criterion = replace(request.criterion, **{field_name: error}, max_triangles=MAX_TRIANGLES)
         update = terrain.update(criterion, frame.views, *frame.placement_and_heights)
-        if update.relaxed > 1:  # the limit of triangles holds it back, and would hold back every finer error
+        if update.relaxed > 1:  # MAX_TRIANGLES made the error larger than requested, and would for every finer one
             break
         for _ in range(TRIES):
             runs = timed_runs(terrain, criterion, frame, write=on_run)
@@ -137,7 +143,8 @@ def measure_request(field, request: Request, on_progress) -> Result:
         )
     curve = None if no_curve else CostCurve.through(unit, points)
     if curve is not None and request.max_ms is not None:  # from now on this curve says which error fits
-        request = replace(request, criterion=replace(request.criterion, **{name: curve.error_for_ms(request.max_ms)}))
+        fitting_error = curve.error_for_ms(request.max_ms)
+        request = replace(request, criterion=replace(request.criterion, **{field_name: fitting_error}))
     surface = terrain.update(request.criterion, frame.views, *frame.placement_and_heights).surface
     measurements = []
     for i, view in enumerate(views, len(errors)):
@@ -148,7 +155,8 @@ def measure_request(field, request: Request, on_progress) -> Result:
 
         measurements.append(measure(field, surface, view, *frame.placement_and_heights, on_progress=on_part))
     on_progress(1.0, "done")
-    return Result(curve, worst(measurements), request.digest(field.key), no_curve)
+    digest = request.digest(field.key)  # of the inputs of this mesh: another digest makes the figures outdated
+    return Result(curve, worst(measurements), digest, no_curve)
 
 
 def _measurable_requests(obj, depsgraph) -> tuple[dict[str, Request], list[TerrainError]]:

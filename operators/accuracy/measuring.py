@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Measurements on a thread beside the window, one at a time because they take times."""
+"""Measurements on a thread while the window stays usable, one at a time because they measure times."""
 
 from ...cbt_terrain.errors import TerrainError
 from .. import jobs

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What `accuracy` writes: one table as CSV and JSON, and the same pages as HTML and Markdown, with their plots."""
+"""What `accuracy` writes: one table as CSV and JSON, and the same pages as HTML and Markdown, with their plots.
+
+A subject is one terrain with its measured rows. A row is one setting, such as an error of 1 pixel, with the bound that
+it guarantees, the measured errors, and the cost in triangles, time and memory.
+"""
 
 import csv
 import io
@@ -41,7 +45,7 @@ STRIP_PX = (4.0, 2.0, 1.0, 0.5)
 def report_files(subjects, machine: dict[str, str]) -> dict[str, str | bytes]:
     """Return the content of every file of a report by its name: text, or the bytes of a PNG.
 
-    subjects: measured AccuracySubjects, each with a row at least. machine: result of `describe_machine`.
+    subjects: measured AccuracySubjects, each with a row at least. machine: texts about the computer by name.
     """
     title, blocks = title_of(subjects), build_page(subjects, machine)
     return pictures(blocks) | {
@@ -200,7 +204,7 @@ def table_blocks(subject: AccuracySubject, of: str) -> list:
         if subject.frame_numbers[1:]
         else ""
     )
-    between = interpolation(heights)
+    between = interpolation(heights)  # statistics of the distances between the two interpolated surfaces, metres
     return [
         Heading(f"Every row{of}"),
         Text(f"{relief:,.5g} m from the lowest to the highest{source}.{several}"),
@@ -209,7 +213,7 @@ def table_blocks(subject: AccuracySubject, of: str) -> list:
             f"{other_interpolation(heights)} against that one; between samples the two are up to {between.max:.3g} m "
             f"apart (95 % of places within {between.p95:.3g} m)." + source_rounding_text(heights)
         ),
-        overview_table(rows, subject.current),
+        overview_table(rows, subject.current),  # current: the terrain's own setting, which the table marks, or None
         Heading(f"What the errors{of} are made of"),
         *error_tables(rows),
         Heading(f"Where the time{of} goes"),
@@ -301,6 +305,7 @@ def overview_table(rows: list[Row], current: Setting | None) -> Table:
         fronts_text = ", ".join(cost for cost, settings in fronts.items() if row.setting in settings)
         numbers = [bound_text(row.bound, unit), f"{number(row.error)} {unit}", f"{row.error / row.setting.error:.2f}"]
         numbers += [f"{row.triangles:,}", number(row.whole_ms), number(row.surface_mb), number(row.buffers_mb)]
+        # row.limited: names of the limits, such as max_triangles, that made the bound exceed the requested error.
         lines.append([name, *numbers, limit_text(*row.limited), fronts_text])
     return Table([*head, "held back by", "Pareto front"], lines)
 

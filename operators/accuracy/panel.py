@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Result and cost of the last update, its measured errors, and the cost of other errors.
 
-`status` is the terrain's Status of session/record.py.
+`status` describes the last update of the terrain: its mode (VIEWPORT or RENDER, "" before the first update), its
+request, the bounds of the mesh, the triangles, and the milliseconds of each step.
 """
 
 import os
@@ -104,14 +105,15 @@ def _draw_measuring(column, operator: str, icon: str) -> None:
 
 
 def _list_bounds(status) -> list[tuple[str, float, str, object]]:
-    """Return label, value, unit and terms (None without) of every bound of the last update, in the order of BOUNDS.
+    """Return label, value, unit and terms of every bound of the last update, in the order of BOUNDS.
 
-    Bounds that the update does not have are left out.
+    Terms are the parts of an error's bound by their cause; None for a bound of edges or areas. Bounds that the update
+    does not have are left out.
     """
     bounds = []
     for name, (label, unit) in BOUNDS.items():
         if (value := getattr(status.bounds, name)) is not None:
-            terms = getattr(status.bounds, name.replace("bound", "terms"), None)
+            terms = getattr(status.bounds, name.replace("bound", "terms"), None)  # terms_px of bound_px
             bounds.append((label, value, unit, terms))
     return bounds
 
@@ -146,6 +148,7 @@ def statistics_lines(status) -> list[tuple[str, str]]:
         return [("No update yet", "")]
     unit = requested_unit(status.request.criterion)
     lines = [("Asked", f"{plain(getattr(status.request.criterion, f'error_{unit}'), 4)} {unit}")] if unit else []
+    # terms: the parts of an error's bound by their cause, such as the rounding of the source; None for other bounds.
     for name, value, unit, terms in _list_bounds(status):
         lines.append((name, _bound_label(value, unit, digits=4)))
         parts = {label: getattr(terms, term) for term, label in TERMS.items()} if terms and value < LARGEST else {}
@@ -161,9 +164,10 @@ def statistics_lines(status) -> list[tuple[str, str]]:
 
 
 def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
-    """Return the measured errors: name and unit, largest (of height: anywhere), 95 %; below a line of headings.
+    """Return a line of headings and one for each measured error: name and unit, the largest, the 95th percentile.
 
-    measured: result of `read_measured`, not {}. Errors that were measured nowhere have no line.
+    The largest error of height is that of the whole surface; the others, and all percentiles, are of sampled points.
+    measured: result of `read_measured`, not {}. Errors without a sample have no line.
     """
     distributions = [
         ("Screen (px)", "screen_px"),
@@ -185,8 +189,9 @@ def measured_lines(measured: dict) -> list[tuple[str, str, str]]:
 def prediction_lines(status, curve: CostCurve, exact: bool) -> list[str]:
     """Return lines on what half and twice the error of the last update would cost, by the measured curve.
 
-    exact: the update is the measured one. Otherwise the curve is scaled to go through the update's own cost. The
-    result is [] if the update has no error in the curve's unit.
+    The update's error is the requested one times `relaxed`, by which a limit of triangles made it larger. exact: the
+    update's mesh is the measured one; otherwise the curve is scaled to go through the update's own cost. The result is
+    [] if the update has no error in the curve's unit.
     """
     error = getattr(status.request.criterion, f"error_{curve.unit}") * status.bounds.relaxed
     if not error:

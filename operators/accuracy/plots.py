@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Plots of a report about accuracy: error against time and against triangles, and which settings nothing beats."""
+"""Plots of a report about accuracy: error against time and against triangles, and which settings nothing beats.
+
+A row is one measured setting. It is fitted if its vertices were moved off the surface to save triangles; such a fit is
+made once, not for each frame, so it has no time that compares with others. It is plain if only its error limits the
+mesh: no meshlets, limit of depth, fitted vertices or geomorph. `cost` is "ms" or "triangles".
+"""
 
 import math
 from operator import attrgetter
@@ -22,8 +27,8 @@ UNIT_NAMES = {"px": "pixels on screen", "m": "metres of height"}
 def error_plots(subject, unit: str, current: "Row | None") -> list[Plot]:
     """Return plots of error against time, unless times are not steady, and against triangles.
 
-    subject: an AccuracySubject. unit: "px" or "m". current: row of the scene's own setting. A fit is made once, not a
-    frame, so it is in no plot of times.
+    subject: an AccuracySubject. unit: "px" or "m". current: row of the scene's own setting. Fitted rows are in no plot
+    of times.
     """
     from ...cbt_terrain.accuracy.rows import unsteady_row
 
@@ -43,8 +48,8 @@ def error_plots(subject, unit: str, current: "Row | None") -> list[Plot]:
 def plot_curves(rows: "list[Row]", cost: str, current: "Row | None") -> list[Curve]:
     """Return the curves of a plot of rows of one unit, one row at least; `cost` is "ms" or "triangles".
 
-    The first row has the interpolation that most rows have; rows of the other one have one curve. Curves without points
-    are among them: `draw` leaves them out. current: row to mark if it is among `rows`, or None.
+    The first row must have the interpolation of the terrain; plain rows of the other interpolation get one curve.
+    Curves without points are in the result: `draw` leaves them out. current: row to mark if it is in `rows`, or None.
     """
 
     def points(candidates: "list[Row]", error) -> list[tuple[float, float]]:
@@ -63,6 +68,7 @@ def plot_curves(rows: "list[Row]", cost: str, current: "Row | None") -> list[Cur
     fitted = [row for row in rows if row.setting.fitted]
     other_name = other[0].setting.interpolation if other else ""
     front = pareto_rows(rows, cost)
+    # spans: from the fastest to the slowest run of each point, drawn beside it.
     found = [
         Curve("requested", SOFT, points(plain, lambda row: row.setting.error), dash="2 4"),
         Curve("bound", TEAL, points(plain, bound)),
@@ -100,8 +106,8 @@ def pareto_rows(rows: "list[Row]", cost: str) -> "list[Row]":
     """Return the rows that no other row of the same interpolation beats in both error and cost.
 
     rows: of one unit. cost: "ms" or "triangles". Interpolations are different surfaces, whose errors do not
-    compare. A fit is made once, so it has no time per frame. Rows that only switch geomorph (`morph` is not None) are
-    left out: its purpose is no smaller error.
+    compare. Fitted rows have no time. Rows that switch geomorph on or off (`morph` is not None) are left out, because
+    its purpose is not a smaller error.
     """
     from ...cbt_terrain.accuracy.rows import pareto
 
@@ -121,7 +127,7 @@ def cost_of(row: "Row", cost: str) -> float:
 def setting_label(setting: Setting) -> str:
     """Return a setting as text, such as `1 px, depth 15` or `4 m, fitted`.
 
-    Its `morph` is above 1 with geomorph, None if that is as in the rest of the sweep.
+    Its `morph` is above 1 with geomorph, 1 without, and None if it is as in the rest of the sweep.
     """
     parts = [f"{setting.error:g} {setting.unit}"]
     parts += [f"depth {setting.max_depth}"] if setting.max_depth else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A report about accuracy: whether it can be written, the files that it is, and whether every bound in it holds."""
+"""Checks that a report about accuracy can be written, writes it, and checks that every bound in it holds."""
 
 import sys
 import time
@@ -37,7 +37,8 @@ def write_report(subjects: Sequence[AccuracySubject], out: Path) -> None:
 def draw_crops(subject: AccuracySubject) -> None:
     """Set `subject.crops`: pictures of one part of the first frame at the errors of `strip_rows`, for the page.
 
-    It is [] without such rows, without a view and for a panorama.
+    `strip_rows`: the rows of the errors that the page's strip of pictures compares. `crops` is [] without such rows,
+    without a view and for a panorama.
     """
     from ...cbt_terrain.accuracy.crops import crops
     from ...cbt_terrain.terrain import Terrain

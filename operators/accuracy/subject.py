@@ -132,7 +132,7 @@ def scene_subjects(
 class Look:
     """How a terrain is seen: its Request at the first of some frames, and its views and placement in each of them.
 
-    `name`: the object's, as `file_name` returns it. `frames`, `frame_numbers`: as in AccuracySubject.
+    `name`: the object's, as a start of file names. `frames`: those to measure. `frame_numbers`: their numbers.
     """
 
     name: str
@@ -143,7 +143,8 @@ class Look:
     def subject(self, through: str) -> AccuracySubject:
         """Return the terrain as a subject to be measured. It opens the height field, but uses nothing of Blender.
 
-        A thread beside the window holds `engine_lock` meanwhile. through: the camera, as a phrase after "through".
+        A caller on a background thread must hold `session.engine_lock`. through: the camera, as a phrase after
+        "through".
         """
         from ..session import session
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Sweep everything that an error can be asked with, and write the report that `adaptive-terrain accuracy` writes."""
+"""Measure the terrain with a sweep of settings, and write the report that `adaptive-terrain accuracy` writes."""
 
 import os
 from contextlib import contextmanager
@@ -67,7 +67,8 @@ def copied_scene(scene, view_layer):
     try:
         yield copy, copy.view_layers[view_layer.name]
     finally:
-        with handlers_paused():  # objects are shared: handlers of other extensions may have moved them
+        # Return to the frame: both scenes share objects, which handlers of other extensions may have moved.
+        with handlers_paused():
             copy.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         bpy.data.scenes.remove(copy)
 
@@ -84,7 +85,8 @@ def readers_of(scene) -> list[str]:
 def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubject:
     """Measure every setting of a sweep on the job's thread; return the subject with its rows and crops.
 
-    Only writing meshes is done on the main thread. through: the camera, as a phrase after "through".
+    Only writing meshes is done on the main thread. look: the terrain with its views in the frames to measure. through:
+    the camera, as a phrase after "through".
     """
     from ...cbt_terrain.accuracy.sweep import sweep
 
@@ -101,8 +103,8 @@ def measure_look(look: Look, through: str, job: BackgroundJob) -> AccuracySubjec
         subject.heights,
         settings,
         subject.frames,
-        base=subject.base,
-        effects=subject.effects,
+        base=subject.base,  # the criterion whose other limits, such as culling, all settings have
+        effects=subject.effects,  # the attributes that the scene reads
         write=lambda surface: job.call_on_main(lambda: accuracy_report.time_mesh_writing(surface)),
         on_progress=on_progress,
     )
@@ -131,7 +133,7 @@ class SweepAccuracy(MeasuringOperator, bpy.types.Operator):
         with copied_scene(scene, context.view_layer) as (copy, view_layer):
             [look] = gather_views(copy, view_layer, [obj], [scene.frame_current])
         accuracy_report.prepare_folder(folder)
-        readers = readers_of(scene)
+        readers = readers_of(scene)  # data-blocks that see the frame of this scene, not that of its copy
         through = f"the camera of {Path(bpy.data.filepath).name or 'the scene'}"
 
         def measure_and_write(job: BackgroundJob) -> tuple[Path, AccuracySubject]:

@@ -26,7 +26,8 @@ HEAD = [
 def transitions_section(rows: list[Row], of: str, plot: str) -> list:
     """Return blocks of the page that compare popping with and without geomorph; [] without `paired_rows`.
 
-    of: " of NAME" for headings if the page has several terrains, else "". plot: name of the plot's file.
+    of: " of NAME" for headings if the page has several terrains, else "". plot: name of the plot's file. Each pair is a
+    row without geomorph (`rough`) and one with it (`smooth`), of the same requested error.
     """
     pairs = paired_rows(rows)
     if not pairs:

@@ -87,7 +87,7 @@ def _add_materials(studio: Studio) -> None:
     _mark(water, MATERIALS, "Clear at the shore, dark where the attribute water_depth is large")
     for material in (terrain, *plain, water):
         ground.data.materials[0] = material
-        studio.take(material, [ground])
+        studio.take(material, [ground])  # renders the preview
     bpy.data.objects.remove(ground)
 
 

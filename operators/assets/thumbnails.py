@@ -73,7 +73,7 @@ class Studio:
             offset += 0.9 * np.ptp(obj.bound_box, axis=0)[:2].max()
         in_camera = np.array([turn.transposed() @ corner for corner in corners])
         low, high = in_camera.min(axis=0), in_camera.max(axis=0)
-        self.scene.camera.data.ortho_scale = float(1.08 * (high - low)[:2].max())
+        self.scene.camera.data.ortho_scale = float(1.08 * (high - low)[:2].max())  # with a margin of 4 % at each side
         middle = Vector(((low + high) / 2).tolist())
         middle.z = high[2] + 100.0  # in front of all
         self.scene.camera.matrix_world = Matrix.Translation(turn @ middle) @ turn.to_4x4()
@@ -94,6 +94,7 @@ class Studio:
         mesh.from_pydata(points, [], faces)
         mesh.shade_smooth()
         height = (z.ravel() - z.min()) / np.ptp(z) * layers
+        # [vertices, 4]: each layer has its most weight in the middle of its range of heights.
         weights = np.clip(1.0 - abs(height[:, None] - (np.arange(4) + 0.5)), 0.0, 1.0).astype(np.float32)
         splat = mesh.attributes.new("splat_1", "FLOAT_COLOR", "POINT")
         splat.data.foreach_set("color", weights.ravel())

@@ -43,7 +43,8 @@ class AttributeList(bpy.types.UIList):
     def filter_items(self, _context, struct, _name):
         """Show the members that are attributes, and of those the ones whose title contains the text of the filter.
 
-        Return Blender's flags by row, and [] to keep the order.
+        Return Blender's flags by row, and [] to keep the order. struct: RNA of the settings, whose properties are the
+        rows.
         """
         sought = self.filter_name.lower()
         names = [item.identifier for item in struct.properties]
@@ -61,7 +62,7 @@ class EffectsPanel(TerrainSubpanel):
         obj = show_terrain(self.layout, context)
         status, settings = session.record_of(obj).status, obj.adaptive_terrain.effects
         draw_figures(self.layout.column(align=True), summary_lines(status.effects, status.effects_bytes))
-        members = settings.bl_rna
+        members = settings.bl_rna  # the items of the list are its properties, one for each attribute among them
         self.layout.template_list(
             AttributeList.bl_idname, "", members, "properties", settings, "active", rows=LIST_ROWS, maxrows=LIST_ROWS
         )

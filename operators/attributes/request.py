@@ -44,9 +44,9 @@ class Effects:
 class EffectStatus:
     """State of an effect after the last update.
 
-    `readers`: their names. `family`: PICTURE or GEOMETRY, see Reader. `skipped`: why it was not computed, or "".
-    `ms`, `nbytes` and `computed` (number of new values): as of Ran in attributes/evaluate.py. `note`: why values may be
-    unexpected, or "".
+    `readers`: their names. `family`: PICTURE if only pixels show it, GEOMETRY if geometry is made from it. `skipped`:
+    why it was not computed, or "". `ms`: time of its computation. `nbytes`: memory of its values. `computed`: number of
+    new values. `note`: why values may be unexpected, or "".
     """
 
     readers: tuple[str, ...] = ()
@@ -86,7 +86,7 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
     found = (
         _find_readers(obj, depsgraph, mode) if names is None else {n: [Reader("the export", GEOMETRY)] for n in names}
     )
-    requests, off = [], []
+    requests, off = [], []  # off: attributes that are switched off, with the names of their readers
     for name in GROUPS:
         readers, when = found.get(name, []), getattr(settings.effects, name).when
         if when == PINNED and names is None:
@@ -95,11 +95,12 @@ def gather_effects(obj, evaluated, placement: np.ndarray, depsgraph, mode: str, 
         if when == OFF and names is None:
             off.append((name, labels))
         elif readers:
+            # PICTURE: only pixels show the values, which may follow their size. GEOMETRY: one scale, from any camera.
             family = GEOMETRY if any(reader.family == GEOMETRY for reader in readers) else PICTURE
             from_scene = FROM_SCENE[name](evaluated, placement, depsgraph) if name in FROM_SCENE else {}
             parameters = tuple(sorted((*changed_numbers(settings, name), *from_scene.items())))
             requests.append(AttributeRequest(name, labels, family, parameters))
-    return Effects(tuple(requests), tuple(off), settings.effects.geometry_metres)
+    return Effects(tuple(requests), tuple(off), settings.effects.geometry_metres)  # the scale of GEOMETRY
 
 
 def statuses(
@@ -107,8 +108,9 @@ def statuses(
 ) -> dict[str, EffectStatus]:
     """Return an EffectStatus for every attribute by its name, computed or not.
 
-    effects: result of `gather_effects`. plan: the attributes of the update, with those that they read, also if these
-    are switched off. ran: cost of the steps; one that is missing cost nothing.
+    effects: its `off` has the attributes that are switched off, with the names of their readers. plan: the attributes
+    of the update and those that they are computed from, even if these are switched off; `skipped` has the reason for
+    each other attribute. ran: cost of the steps; one that is missing cost nothing.
     """
     from ...cbt_terrain.attributes.evaluate import Ran
 
@@ -144,8 +146,8 @@ def _switched_off_text(readers: tuple[str, ...]) -> str:
 def _find_readers(obj, depsgraph, mode: str) -> dict[str, list[Reader]]:
     """Return the readers in the scene by attribute.
 
-    A reader of everything counts for each attribute, and one of the active colours for the attributes that are active.
-    mode: VIEWPORT or RENDER.
+    A reader of everything counts for each attribute. A reader of "the active colours" counts for those two attributes
+    that the mesh has as its active and its default colours. mode: VIEWPORT or RENDER.
     """
     demand = demand_cache.demand_of(obj, depsgraph, mode)
     found = Demand({name: list(readers) for name, readers in demand.items()})  # a copy: `demand` may be cached

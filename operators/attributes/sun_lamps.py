@@ -38,8 +38,8 @@ def suns_over(placement: np.ndarray, depsgraph) -> tuple[tuple[float, ...], ...]
     """Return a row for each sun lamp of the scene: x, y, z towards it in the terrain's space, its angle and strength.
 
     placement: matrix from the terrain's space to the world, whose scale changes the length of x, y, z. Rows are sorted.
-    Shadows are the same in that space. The angle is that in the world: a scale that differs by axis would make an
-    ellipse of the disc.
+    A point is in shadow in that space exactly if it is in the world. The angle (the diameter of the sun's disc,
+    radians) is that in the world: a scale that differs by axis would make an ellipse of the disc.
     """
     to_local = inverse(placement)[:3, :3]
     rows = []

@@ -57,6 +57,7 @@ def views_from_scene(scene, camera, depsgraph, resolution: tuple[int, int] | Non
     resolution = resolution or render_resolution(scene)
     several = scene.render.use_multiview and scene.render.views_format == "MULTIVIEW"
     eyes = _multiview_cameras(scene, camera) if several else [camera]
+    # evaluated_or_still: the camera as it is in the frame, and its matrix to the world.
     views = [view_from_camera(scene, *evaluated_or_still(depsgraph, eye, "camera"), resolution) for eye in eyes]
     if several or not scene.render.use_multiview:
         return views
@@ -91,8 +92,10 @@ def view_from_camera(scene, camera, matrix, resolution: tuple[int, int]) -> View
 def _projection(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> np.ndarray:
     """Return the projection matrix of a camera, float64 [4, 4], as `Object.calc_matrix_camera` does.
 
-    That gives zeros for some clip ranges, depending on the version. Depth is scaled for a clip range from 0 to
-    infinity, since only x and y in the frame are used. Values are not finite for some cameras that make no picture.
+    Blender's function gives zeros for some clip ranges, depending on the version, so it is not called. Depth is scaled
+    for a clip range from 0 to infinity, since only x and y in the frame are used. Values are not finite for some
+    cameras that make no picture.
+
     data: Blender's camera data. aspect: width and height of a pixel.
     """
     width, height = resolution[0] * aspect[0], resolution[1] * aspect[1]
@@ -129,7 +132,8 @@ def view_from_region(space, region, region_3d) -> View:
 def viewports(window_manager) -> list[tuple]:
     """Return window, area, region and the region's own view (RegionView3D) of every 3D viewport that is shown.
 
-    They are refined, framed, and searched for the mouse. Viewports too small to show anything are left out.
+    Callers refine terrains for them, move them, or look for the one under the mouse. Viewports too small to show
+    anything are left out.
     """
     found = []
     for window in window_manager.windows:
@@ -169,7 +173,7 @@ def _world_to_camera(name: str, matrix) -> np.ndarray:
         raise TerrainError(
             f"The camera {name!r} has a matrix with values that are not finite", fix="check its location and parents"
         )
-    scales = lengths(matrix[:3, :3])
+    scales = lengths(matrix[:3, :3])  # of the columns, which are the camera's axes
     if not (scales > 0).all():
         raise TerrainError(f"The camera {name!r} has a scale of 0", expected="another scale on each axis")
     matrix[:3, :3] /= scales
@@ -179,9 +183,10 @@ def _world_to_camera(name: str, matrix) -> np.ndarray:
 
 
 def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
-    """Return the sensor size and the side of the picture that it spans, which is `width` or `height`.
+    """Return the sensor size that Blender's Sensor Fit selects, and the side of the picture that it spans.
 
-    The size is in millimetres; for an orthographic camera only the side counts.
+    The size is in millimetres; the side is `width` or `height`, in their unit. For an orthographic camera only the side
+    counts. data: Blender's camera data.
     """
     horizontal = data.sensor_fit == "HORIZONTAL" or (data.sensor_fit == "AUTO" and width >= height)
     return data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width, width if horizontal else height
@@ -190,9 +195,9 @@ def _fit_sensor(data, width: float, height: float) -> tuple[float, float]:
 def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, float]) -> float:
     """Return the smallest angle that a pixel of a panorama spans, in radians, as Cycles projects.
 
-    For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side along the meridians
-    counts: near the poles of a panorama, and near the border of a fisheye, its other side spans less. data: Blender's
-    camera data. resolution: pixels across and up. aspect: width and height of a pixel.
+    For an unknown lens it is half of the angle of a panorama of the whole sphere. A pixel's side across the meridians
+    spans less near the poles of a panorama and near the border of a fisheye; this is ignored, except for a cylinder.
+    data: Blender's camera data. resolution: pixels across and up. aspect: width and height of a pixel.
     """
     width, height = resolution
     # Panorama settings moved from Cycles to the camera in Blender 5.0.
@@ -208,13 +213,14 @@ def _radians_per_pixel(data, resolution: tuple[int, int], aspect: tuple[float, f
         ends = lens.central_cylindrical_range_v_min, lens.central_cylindrical_range_v_max
         low, high = (end / lens.central_cylindrical_radius for end in ends)
         across = lens.central_cylindrical_range_u_max - lens.central_cylindrical_range_u_min
-        steepest = 1 + max(low * low, high * high)  # tan(latitude) = v, so a step of v spans 1 / (1 + v * v) of it
+        # With tan(latitude) = v, a step of v spans 1 / (1 + v * v) of it up, and 1 / sqrt(1 + v * v) across.
+        steepest = 1 + max(low * low, high * high)
         return min(abs(across) / width / math.sqrt(steepest), abs(high - low) / height / steepest)
     if panorama == "FISHEYE_EQUIDISTANT":
         return lens.fisheye_fov / max(width, height)
     sensor, side = _fit_sensor(data, width * aspect[0], height * aspect[1])
     millimetres = sensor / side * min(aspect)  # on the sensor, of a pixel's shorter side
-    if panorama == "FISHEYE_EQUISOLID":
+    if panorama == "FISHEYE_EQUISOLID":  # radius 2 f sin(angle / 2): least radians per millimetre, 1 / f, in the middle
         return millimetres / lens.fisheye_lens
     if panorama == "FISHEYE_LENS_POLYNOMIAL":
         # millimetres from the middle of the sensor to a corner of the picture

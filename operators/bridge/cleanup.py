@@ -37,6 +37,8 @@ class Cleanup:
 def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     """Return a surface without the parts that the clean-up cuts away, in new arrays; the surface itself if it cuts
     nothing.
+
+    Each `cut` keeps the part of the mesh where a function of position, its "side", is positive.
     """
     from ...cbt_terrain.mesh.cut import above_line, cut
     from ...cbt_terrain.mesh.outline import inside
@@ -45,7 +47,8 @@ def clean_up(surface: Surface, cleanup: Cleanup) -> Surface:
     if cleanup.below is not None:
         surface, _ = cut(surface, [above_line(axis=2, at=cleanup.below)], threads=threads)
     if cleanup.boundary is not None:
-        for side in inside(cleanup.boundary, surface):  # one for each line of a simple outline, else one in all
+        # A side for each line of a convex outline with few lines, else one for the whole boundary.
+        for side in inside(cleanup.boundary, surface):
             surface, _ = cut(surface, [side], threads=threads)
     return surface
 

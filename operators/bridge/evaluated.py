@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An object that a setting names, as it is in the frame that is refined.
 
-A setting gives Blender no reason to evaluate an object. One that is hidden in renders, disabled in viewports or in an
-excluded collection is not evaluated there: it has its place of another moment, after loading none, and no modifiers.
+Naming an object in a setting does not make Blender evaluate it. An object that is hidden in renders, disabled in
+viewports or in an excluded collection is not evaluated there: its matrix is that of another frame, or unset after
+loading, and its modifiers are not applied.
 """
 
 import numpy as np

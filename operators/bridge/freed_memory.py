@@ -32,7 +32,7 @@ _last = 0.0  # monotonic seconds of the last call of `hold_freed_memory`
 
 
 def hold_freed_memory() -> None:
-    """Keep freed memory in the process until IDLE_S seconds after the last call; in the background to the end.
+    """Keep freed memory in the process until IDLE_S seconds after the last call; without a window until it ends.
 
     Call it on the main thread, before a large mesh is written.
     """
@@ -45,7 +45,10 @@ def hold_freed_memory() -> None:
 
 
 def give_back() -> None:
-    """Return held memory to the system, if any. jemalloc gets its old settings, glibc its largest thresholds."""
+    """Return held memory to the system, if any. jemalloc gets its old settings.
+
+    The thresholds of glibc, which cannot be read, become the largest that it chooses itself.
+    """
     with _lock:
         for name, decay_ms in _decays.items():
             _set_decay(name, decay_ms)

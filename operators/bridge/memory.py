@@ -56,7 +56,7 @@ def writable_in_place() -> bool:
                 if not (read == written.ravel()).all():
                     return False
         mesh.update(calc_edges=True)
-        return mesh.validate() is False
+        return mesh.validate() is False  # nothing had to be repaired
     finally:
         bpy.data.meshes.remove(mesh)
 

@@ -107,12 +107,14 @@ def _write_geometry(mesh, surface: Surface) -> None:
     if not triangles:
         mesh.attributes["position"].data.foreach_set("vector", surface.positions.ravel())
         return
+    # Warp arrays over Blender's memory: the first corner of each face and the UV of each corner. Both are None in a
+    # Blender whose memory cannot be written in place; then arrays are made here and copied.
     offsets = mesh_memory.array_in_place(mesh.polygons, wp.int32)
     corner_uv = mesh_memory.array_in_place(mesh.uv_layers[UV_LAYER].uv, wp.vec2f)
     copied = None
     if corner_uv is None:
         copied = np.empty((3 * triangles, 2), np.float32)
-        corner_uv = shared(copied, wp.vec2f)
+        corner_uv = shared(copied, wp.vec2f)  # a Warp array over the same memory
 
     def copy() -> None:
         """Copy all arrays except the UV map into Blender's memory."""

@@ -52,7 +52,7 @@ def allow_writing(function):
                 errors.append(error)
 
         _run = call
-        setattr(bpy.context.window_manager, NAME, True)
+        setattr(bpy.context.window_manager, NAME, True)  # its update function calls `_run`
         if errors:
             raise errors[0]
         return results[0]

@@ -102,7 +102,10 @@ def _turn() -> float:
 
 
 def _refine_resting_land(idle: bool) -> bool:
-    """Give resting_land a turn, and return whether any land has become finer. idle: no update is due or running."""
+    """Let resting_land refine the shaped land of terrains that do not change; return whether any has become finer.
+
+    idle: no update is due or running.
+    """
     if not resting_land.has_work():
         return False
     before = jobs.progress_shown()
@@ -165,7 +168,8 @@ def _next_job() -> LiveUpdate | None:
     )
     for depsgraph, obj in shown:
         record = session.record_of(obj)
-        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER  # a render's mesh is replaced once, too
+        # A mesh that a render has left is replaced by one for the viewport, also without Live Update.
+        wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
         # Without a store the panel keeps the error of a failed import.
         if depsgraph is None or not wanted or not obj.adaptive_terrain.store or obj.mode != "OBJECT":
             continue
@@ -180,12 +184,13 @@ def _next_job() -> LiveUpdate | None:
         if request.key() != record.live_key:
             if not _is_prepared(record, request):
                 return None
-            record.live_key, _started = request.key(), time.monotonic()
+            record.live_key, _started = request.key(), time.monotonic()  # _started: of the running job
             # The error that fits a time budget is not in the key, so that a still camera gets one mesh.
             request = correct_for_time(request, record.time_correction)
-            return LiveUpdate(
-                obj.session_uid, record.generation, request, _worker.submit(_solve_on_worker, record, request)
-            )
+            # With another generation at the end, the terrain was updated by other means and the result is dropped.
+            generation = record.generation
+            future = _worker.submit(_solve_on_worker, record, request)
+            return LiveUpdate(obj.session_uid, generation, request, future)
     return None
 
 
@@ -220,7 +225,7 @@ def _is_prepared(record: session.Record, request: Request) -> bool:
 def _next_refinement() -> LiveUpdate | None:
     """Start a refinement step of the first mesh that shows a preview; return it, None if there is none.
 
-    Previews of terrains that are gone or were updated since are forgotten.
+    Previews of terrains that are gone or were updated since (another `generation`) are forgotten.
     """
     global _started
     if not _unrefined:
@@ -297,7 +302,7 @@ def _show_result(job: LiveUpdate) -> None:
         result = job.future.result()
         if result is None:  # of a refinement that needs more steps
             return
-        update, serial, is_refined = result
+        update, serial, is_refined = result  # serial: number of the record's surface that the update has made
         with session.engine_lock:
             # Another update may have been shown since then.
             if record.generation == job.generation and record.serial == serial:
@@ -347,7 +352,7 @@ def start() -> None:
     global _worker, _draw_handle
     _worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="adaptive_terrain_live")
     if not bpy.app.background:
-        if warmup.is_first_start():
+        if warmup.is_first_start():  # kernels are compiled now; later starts wait for a terrain
             warmup.start()
         bpy.app.timers.register(tick, first_interval=IDLE_S, persistent=True)
         _draw_handle = bpy.types.SpaceView3D.draw_handler_add(_on_draw, (), "WINDOW", "POST_PIXEL")

@@ -70,7 +70,10 @@ class ObjectModeOperator:
 
 
 def remember_object(operator, context) -> None:
-    """Keep which object an operator acts on: a panel's button names it only until a dialog or a wait begins."""
+    """Store the session_uid of the context's object in the operator, for `remembered_object`.
+
+    A button in a panel sets the context's object, but only until the operator opens a dialog or waits.
+    """
     operator.object_uid = None if context.object is None else context.object.session_uid
 
 
@@ -103,9 +106,9 @@ def invoke_with_file(operator, context) -> set[str]:
 
 
 def run_nested(operator, run: Callable, how: str, **properties) -> set[str]:
-    """Run an operator inside another one, which reports its errors; return FINISHED, or CANCELLED after an error.
+    """Run another operator from `operator`, which reports its errors; return FINISHED, or CANCELLED after an error.
 
-    run: its function in bpy.ops. how: INVOKE_DEFAULT or EXEC_DEFAULT.
+    run: the other's function in bpy.ops. how: INVOKE_DEFAULT or EXEC_DEFAULT.
     """
     try:
         run(how, **properties)

@@ -195,7 +195,8 @@ def _refine(record: Record, request: Request, heights: HeightField):
 def _make_effects(record: Record, request: Request, update, vertical: dict[str, float]) -> None:
     """Compute the attributes of the request on the surface of an update; store values, costs and counts in the record.
 
-    vertical: `vertical_scale` and `vertical_offset` of the terrain.
+    vertical: `vertical_scale` and `vertical_offset` of the terrain. record.effects_runs: how often each attribute was
+    computed. record.effects_serial: number of the present values, which grows if any of them is new.
     """
     from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
 
@@ -274,9 +275,9 @@ def open_field(store: str):
 def show(obj, record: Record, request: Request, update, mode: str, *, exact: bool = True) -> bool:
     """Write the mesh unless it already shows this surface; return whether it was written.
 
-    The scatter points and the record's status are those of `update` in any case. On the main thread, with `engine_lock`
-    held. exact: write exact normals at once, which is slow before Blender 4.5; otherwise those versions get them by a
-    later `show_normals`.
+    update: the engine's Update of the terrain for `request`; scatter points and the record's status become those of it
+    in any case. mode: VIEWPORT or RENDER. exact: write exact normals at once, which is slow before Blender 4.5;
+    otherwise those versions get them by a later `show_normals`. On the main thread, with `engine_lock` held.
     """
     _make_mesh_single_user(obj)
     written = record.shown != _what_is_shown(obj.data, record, request)

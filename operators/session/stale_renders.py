@@ -76,7 +76,7 @@ def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
     if bpy.app.binary_path and signal.getsignal(signal.SIGINT) is None:
         signal.raise_signal(signal.SIGINT)
     else:
-        exit_if_stopped()
+        exit_if_stopped()  # at once, since `_ending` is set
 
 
 def add_message(text: str) -> None:

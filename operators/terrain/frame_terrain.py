@@ -27,7 +27,7 @@ def frame_terrain(obj, depsgraph, viewports: list[tuple], always: bool) -> list[
     TerrainError if the terrain has no store or no finite box.
 
     Args:
-        viewports: as of `camera.viewports`: window, area, region and region_3d.
+        viewports: (window, area, region, region_3d) each.
         always: also move a viewport that already shows the whole terrain.
     """
     box = sight.box_of(obj, depsgraph)
@@ -65,7 +65,10 @@ def box_or_none(obj) -> np.ndarray | None:
 
 
 def with_all_of(box: np.ndarray | None, viewports: list[tuple]) -> list[tuple]:
-    """Return those of some viewports, as of `frame_terrain`, that show a whole box [8, 3]; [] for None."""
+    """Return those of some viewports that show a whole box [8, 3]; [] for None.
+
+    viewports: (window, area, region, region_3d) each.
+    """
     return [] if box is None else [found for found in viewports if sight.shows_all(box, _view_of(*found))]
 
 
@@ -131,7 +134,7 @@ def _visible_part(area, region, space) -> tuple[float, float, float, float]:
 def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, float, float, float]) -> None:
     """Move a viewport along its direction until a box fills the visible part of its region, with MARGIN.
 
-    box: float64 [8, 3], corners in the world. visible: result of `_visible_part`.
+    box: float64 [8, 3], corners in the world. visible: left, right, bottom and top of that part, -1 .. 1 in the region.
     """
     axes = np.array(region_3d.view_rotation.to_matrix(), np.float64)  # columns: right, up, towards the eye
     middle = (box.min(axis=0) + box.max(axis=0)) / 2
@@ -141,6 +144,7 @@ def _move_view(space, region, region_3d, box: np.ndarray, visible: tuple[float, 
     tangents = np.array([region.width, region.height]) / larger * VIEWPORT_SENSOR_MM / 2 / space.lens
     left, right, bottom, top = visible
     wide, high = tangents * ((right - left) / 2, (top - bottom) / 2)
+    # In perspective a corner is `distance - towards` before the eye, and in the frame if it is at least across / wide.
     towards = towards if region_3d.is_perspective else 0.0
     distance = float((np.maximum(abs(across) / wide, abs(up) / high) + towards).max()) * MARGIN
     if not distance > 0.0:
@@ -170,6 +174,7 @@ class FrameTerrain(bpy.types.Operator):
         viewports = shown_viewports(context.window_manager, context.scene)
         if context.area is not None and context.area.type == "VIEW_3D":
             viewports = [viewport for viewport in viewports if viewport[1] == context.area]
+        # always: also viewports that already show the whole terrain
         texts = frame_terrain(context.object, context.evaluated_depsgraph_get(), viewports, always=True)
         if texts:
             self.report({"INFO"}, to_sentence(texts))

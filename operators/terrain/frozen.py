@@ -26,7 +26,7 @@ def decode_tree(text: str) -> tuple[bytes, int]:
     """
     try:
         meshlet, packed = text.split()
-        max_bytes = 2 * MAX_LEAVES  # a damaged text may claim any size
+        max_bytes = 2 * MAX_LEAVES  # twice the largest tree, since a damaged text may claim any size
         return zlib.decompressobj().decompress(base64.b64decode(packed, validate=True), max_bytes), int(meshlet)
     except (ValueError, zlib.error):
         raise TerrainError("The frozen triangles are damaged", fix="switch Freeze Detail off and on again") from None

@@ -92,7 +92,7 @@ def move_world(context, by: np.ndarray) -> list[str]:
     if not by.any():
         return driven_names
     without_parent = [obj for obj in scene.objects if obj.parent is None and obj.library is None]
-    shifted: set[int] = set()  # as in `shift_location`
+    shifted: set[int] = set()  # pointers of animation curves that are shifted already: objects may share an action
     # Objects with constraints come last: their targets may have moved them already.
     for obj in sorted(without_parent, key=lambda obj: len(obj.constraints) > 0):
         if obj.constraints:
@@ -109,9 +109,9 @@ def move_world(context, by: np.ndarray) -> list[str]:
         area.tag_redraw()
     origin = origin_of(scene)
     if origin is not None:
-        moves = zip((origin.x, origin.y), by, origin.metres, strict=True)
+        moves = zip((origin.x, origin.y), by, origin.metres, strict=True)  # metres: in a unit of x and of y
         x, y = (coordinate - float(move) / metres for coordinate, move, metres in moves)
-        was_claimed = is_claimed(scene)
+        was_claimed = is_claimed(scene)  # the origin is this extension's, and no other has changed it since
         set_origin(scene, origin._replace(x=x, y=y), latitude_longitude=None)
         if was_claimed:
             claim_origin(scene)
@@ -165,25 +165,28 @@ def set_anchor(obj, x: float, y: float) -> None:
     """Make (x, y), metres from the raster's middle, the origin of a terrain's object; nothing moves in the world.
 
     Raises TerrainError for an animated rotation or scale: the object's path would be another. Also for an anchor
-    outside of the raster, and for a raster whose place is unknown.
+    outside of the raster, and for a raster whose position in its coordinate system is unknown.
     """
     by = np.array([x, y]) - anchor_of(obj)
     if not by.any():
         return
-    anchored(session.open_field(shaped_land.store_of(obj)), x, y)  # raises TerrainError without a known place
+    anchored(session.open_field(shaped_land.store_of(obj)), x, y)  # only for its TerrainError
     if _curves_of(obj.animation_data, "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"):
         raise TerrainError(
             f"The terrain {obj.name!r} has an animated rotation or scale, so its origin cannot be moved",
             fix="animate a parent of it instead",
         )
     basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
-    shift_location(obj, Vector((basis @ by).tolist()), shifted=set())
+    shift_location(obj, Vector((basis @ by).tolist()), shifted=set())  # no curves were shifted before
     obj.adaptive_terrain.anchor = (x, y)
     keep_children(obj, by)
 
 
 def keep_children(obj, by: np.ndarray) -> None:
-    """Keep what belongs to a terrain on its ground after its origin has moved by (x, y) metres of its space."""
+    """Keep the children of a terrain in their places on the ground after its origin has moved.
+
+    by: move of the origin in the terrain's space, float64 [2] metres.
+    """
     back = Matrix.Translation((*(-by).tolist(), 0.0))
     static = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
     for child in obj.children:

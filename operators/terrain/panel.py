@@ -85,7 +85,7 @@ class RenderPanel(TerrainSubpanel):
     bl_parent_id = "ADAPTIVE_TERRAIN_PT_advanced"
 
     def draw(self, context):
-        """Draw how fine the terrain is in renders, and what stops renders with stale frames."""
+        """Draw the settings of the terrain's detail in renders, and whether renders with stale frames are stopped."""
         column = self._columns()
         _draw_detail(column, session.shown_terrain(context).adaptive_terrain.render)
         column.separator()

@@ -102,6 +102,7 @@ class Request:
         """Return the key of the inputs that determine the triangles."""
         views = tuple(view.key() for view in self.views)
         heights = self.vertical_scale, self.vertical_offset
+        # An anchor of 0 is left out, so that digests stay those of versions without anchors.
         placed = self.placement.tobytes(), *([self.anchor] if any(self.anchor) else [])
         return self.criterion, views, *placed, heights, self.frozen
 
@@ -120,9 +121,10 @@ def gather(
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace those of the settings and the scene. A `criterion`, and overrides other than `effects`,
-    release frozen triangles; a `criterion` and a replaced error release the time budget. `about_middle`: the terrain's
-    space begins at the raster's middle, not at the anchor. Raises TerrainError for a terrain that cannot be refined.
+    and `overrides` replace those of the settings and the scene. Frozen triangles are ignored if there is a `criterion`
+    or an override other than `effects`; the time budget is ignored if there is a `criterion` or an overridden error.
+    `about_middle`: the origin of the terrain's space is the raster's middle, not the anchor. Raises TerrainError for a
+    terrain that cannot be refined.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -133,6 +135,7 @@ def gather(
         raise TerrainError(f"The terrain {obj.name!r} has an unknown interpolation", fix="choose one on its panel")
     anchor = (0.0, 0.0) if about_middle else anchor_of(evaluated)
     placement = raster_placement_of(evaluated) if about_middle else placement_of(evaluated)
+    # note: why the time budget cannot be used, else "". frozen: the saved triangles of a frozen terrain, else "".
     max_ms, note, frozen, curve = None, "", "", None
     if criterion is None:
         frozen = settings.frozen if replace(overrides, effects=None) == NO_OVERRIDES else ""
@@ -147,6 +150,7 @@ def gather(
     if criterion.needs_view:
         with _name_terrain_in_errors(obj.name):
             views = _find_views(evaluated, depsgraph, mode, camera, resolution)
+    # The land to shape from the store by height operators, None without any; only a render waits until it is shaped.
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:  # only land in view has to be fine
@@ -154,7 +158,7 @@ def gather(
             seen = SeenTiles(tuple(views), raster_placement_of(evaluated), criterion.error_px, *scale_and_offset)
             land = replace(land, seen=seen)
         elif mode != RENDER:
-            store, land = _shown_land(store, land, frozen)
+            store, land = _shown_land(store, land, frozen)  # a shaped store, or a preview until there is one
     cleanup = cleanup_from(settings.cleanup, evaluated, depsgraph)
     if cleanup.active:  # a cut part would hide ground that is seen through the cut: none counts as hidden
         criterion = replace(criterion, hidden_factor=1.0)
@@ -190,7 +194,7 @@ def gather(
 def _shown_land(store: str, land: Land, frozen: str) -> tuple[str, Land | None]:
     """Return the store that a viewport shows, and the land to preview on it, None if that store is already shaped.
 
-    store: of the terrain's settings.
+    store: of the terrain's settings. frozen: the saved triangles of a frozen terrain, else "".
     """
     if shown := land.shown:
         return shown, None
@@ -255,7 +259,7 @@ def within_time(criterion: Criterion, detail) -> tuple[Criterion, str]:
 def correct_for_time(request: Request, correction: TimeCorrection) -> Request:
     """Return the request with an error that fits its time budget by the times of recent live updates.
 
-    It is unchanged without a budget.
+    It is unchanged without a budget. correction: ratio of those times to the measured cost curve.
     """
     if request.curve is None:
         return request

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernels that a request needs beside those of every terrain."""
+"""The kernels that a request needs in addition to those of every terrain."""
 
 from types import ModuleType
 
@@ -15,20 +15,23 @@ from .request import Request
 def kernels_for(request: Request) -> list[ModuleType]:
     """Return the kernel modules that a request needs, so that they can be compiled ahead of the update.
 
-    Raises TerrainError for attributes that are not valid.
+    They are those of attributes and land effects, and of displacement, bicubic interpolation, geomorphing, scatters
+    and horizon maps as far as the request uses them. Raises TerrainError for attributes that are not valid.
     """
     from ...cbt_terrain.attributes.evaluate import kernels_of
     from ...kernels import bicubic, detail, morph, scatter
     from ...kernels.refine import horizon_map
 
     attributes = list(request.effects.requests)
-    if isinstance(request.ground, LayeredDetail):  # its weights are splat attributes
+    # The weights of layers' displacement are splat attributes. One stands for all, which have the same kernels.
+    if isinstance(request.ground, LayeredDetail):
         attributes.append(
             AttributeRequest(NAMES[0], readers=("detail",), parameters=(("layers", request.ground.layers),))
         )
     for item in request.scatters.items:
         attributes += [read for read, _ in item.scatter.reads()]
     found = kernels_of(plan(attributes)) + (kernels_of_stack(request.land.stack) if request.land is not None else [])
+    # The horizon map tells which ground is hidden: there the mesh may be coarser, or scatters may have no points.
     needs_horizon = request.criterion.hidden_factor != 1.0 or any(item.culls for item in request.scatters.items)
     packages = (
         (detail, request.ground is not None),

@@ -65,7 +65,10 @@ def is_cut_off(box: np.ndarray, view: View) -> bool:
 
 
 def is_in_sight(box: np.ndarray, view: View) -> bool:
-    """Return False only if the whole box is outside the frame; `is_cut_off` tests the clip range."""
+    """Return False only if the whole box is outside the frame; `is_cut_off` tests the clip range.
+
+    box: its corners in the world, float64 [8, 3]. The frame is -w <= x, y <= w in homogeneous coordinates.
+    """
     if view.kind == PANORAMIC:
         return True
     x, y, w = _in_frame(box, view)
@@ -84,6 +87,7 @@ def shows_all(box: np.ndarray, view: View) -> bool:
     if (w <= 0).any() or (depths(box, view) < view.clip[0]).any():
         return False
     x, y = x / w, y / w
+    # The frame is -1 .. 1, so its width and height are 2.
     return max(abs(x).max(), abs(y).max()) <= 1.0 and max(np.ptp(x), np.ptp(y)) >= 2.0 * SMALL
 
 

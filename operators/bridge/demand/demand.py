@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The attributes of an object's mesh that a scene reads: exact where possible, else everything.
 
-Reads by Python (scripts, functions of drivers) are not found. Hidden objects count.
+Reads by Python (scripts, functions of drivers) are not found. Hidden objects count. Each name in a Demand has its
+readers; an attribute that pixels show has the family PICTURE, one from which geometry is made GEOMETRY. A function adds
+what it finds to the Demand `found` or to the _Search `search`.
 """
 
 from dataclasses import dataclass, field
@@ -51,7 +53,7 @@ class _Search:
 def find_demand(obj, depsgraph, mode: str = RENDER) -> Demand:
     """Return the attributes of the mesh of `obj` that a scene reads, with their readers.
 
-    Names are those of attributes, or special ones of found.py.
+    Names are those of attributes, or stand for all of them, for the active colour or UV map, or for a vertex group.
 
     Args:
         depsgraph: the scene's dependency graph.
@@ -61,18 +63,19 @@ def find_demand(obj, depsgraph, mode: str = RENDER) -> Demand:
     layers = [layer for layer in scene.view_layers if layer.use or not render]
     shown = _all_objects(scene)
     holding = {other for other in shown if other.data == obj.data} | {obj}  # objects with the terrain's mesh
-    search = _Search(Demand(), obj, shown, render, shading_of(scene, layers, preview=not render), holding)
-    found = search.found
+    shading = shading_of(scene, layers, preview=not render)  # how the scene shows materials
+    search = _Search(Demand(), terrain=obj, objects=shown, render=render, shading=shading, holding=holding)
+    found = search.found  # the calls below add to it, and to the objects and materials of `search`
     _read_engine(found, scene, render)
     if not render:
         read_screens(found)
-    for holder in list(holding):
+    for holder in list(holding):  # a copy, since more objects may be found that hold geometry made from the mesh
         _read_holder(search, holder)
     _read_users(search)
     materials = _with_overrides(search.materials, layers)
     for material in materials:
         read_material(found, material, search.shading)
-    read_rays(found, materials, search.shading)
+    read_rays(found, materials, search.shading)  # of other shaders, whose rays hit the mesh
     read_drivers(found, obj, shown, scene)
     return found
 
@@ -108,7 +111,10 @@ def _read_engine(found: Demand, scene, render: bool) -> None:
 
 
 def _read_holder(search: _Search, obj) -> None:
-    """Add the reads of an object that has the terrain's mesh: of its modifiers and particles; note its materials."""
+    """Add the reads of an object that has the terrain's mesh: of its modifiers and particles; note its materials.
+
+    Materials are read later. `sources`: materials that a modifier sets, and objects whose geometry it uses.
+    """
     modifiers = search.modifiers_of(obj)
     for modifier in modifiers:
         label = search.label_of(obj, modifier)

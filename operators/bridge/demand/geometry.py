@@ -40,7 +40,8 @@ def read_modifier(found: Demand, modifier, label: str, trees: Trees, viewers: bo
     """
     if modifier.type == "NODES":
         return _read_nodes(found, modifier, label, trees, viewers) if modifier.node_group else Sources()
-    texts, pointers = _properties(type(modifier))  # names of properties
+    # Names of the properties that are texts, such as an attribute's name, and of those that refer to data-blocks.
+    texts, pointers = _properties(type(modifier))
     for name in texts:
         if value := getattr(modifier, name):
             group = "vertex_group" in name or name.endswith("_weight")
@@ -112,7 +113,7 @@ COORDINATES = "texture_coords", "mask_tex_mapping"
 def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
     """Return a geometry-nodes modifier's constant input values by identifier, and (input, attribute) names.
 
-    An input whose value is animated is in neither.
+    Animated values are left out.
     """
     values, attributes = {}, []
     for item in modifier.node_group.interface.items_tree:
@@ -129,6 +130,7 @@ def _inputs(modifier) -> tuple[dict, list[tuple[str, str]]]:
             attributes.append((item.name, modifier.get(key + "_attribute_name", "")))
         elif key in modifier:
             values[key] = modifier[key]
+    # All words of the animated data paths: one of them is the identifier of the input.
     animated = {name for path in _animated(modifier) for name in re.findall(r"\w+", path)}
     return {key: value for key, value in values.items() if key not in animated}, attributes
 

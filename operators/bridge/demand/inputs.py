@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The inputs of a node that matter: a constant factor or weight of 0 or 1 hides others."""
+"""The inputs of a node that matter: a constant factor or weight of 0 or 1 hides others.
+
+A function `_used_of_TYPE(walk, node, context, inputs)` serves one type of node. It gets the NodeWalk, the node, the
+enclosing group nodes (innermost last) and the node's enabled inputs, and returns those inputs that have an effect.
+"""
 
 # Weights of the Principled BSDF, and the inputs that a weight of 0 hides.
 WEIGHED = {
@@ -13,8 +17,7 @@ WEIGHED = {
 def used_inputs(walk, node, context: tuple) -> list:
     """Return the inputs of a node that can change its outputs; all if animation or a driver may change its settings.
 
-    walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last. The functions
-    below get the node's enabled `inputs`, too.
+    walk: the NodeWalk, which knows constant values. context: enclosing group nodes, the innermost last.
     """
     if walk.is_altered(node):
         return list(node.inputs)
@@ -28,6 +31,7 @@ def _used_of_mix(walk, node, context, inputs):
     """Return the used inputs of a Mix node; all where the factor is a vector or mixes rotations."""
     if node.data_type == "ROTATION" or node.data_type == "VECTOR" and node.factor_mode == "NON_UNIFORM":
         return inputs
+    # A blend mode such as Multiply reads the first colour even at a factor of 1; MIX then shows the second alone.
     blends = node.data_type == "RGBA" and node.blend_type != "MIX"
     return _used_sides(walk, node, context, inputs, replaces=not blends, clamped=node.clamp_factor)
 

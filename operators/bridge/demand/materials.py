@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Attributes of a mesh that its materials read, and that Raycast nodes of other shaders read where they hit it."""
+"""Attributes of a mesh that its materials read, and that Raycast nodes of other shaders read where they hit it.
+
+Functions add them to the Demand `found`. `shading` tells which outputs of a material the scene's engine uses.
+"""
 
 from dataclasses import dataclass, field
 from itertools import islice
@@ -108,7 +111,8 @@ def _hits_others(node) -> bool:
 def _read_shader(found: Demand, tree, label: str, shading: Shading) -> None:
     """Add the attributes that a shader's node tree reads, from its used outputs and AOVs backwards.
 
-    With MAX_AOVS or more AOV outputs it counts as reading everything. label: the owner's name for the user.
+    With MAX_AOVS or more AOV outputs it counts as reading everything. label: the owner's name for the user. `context`
+    of an output: the group nodes that it is in, the outermost first.
     """
     walk = NodeWalk(found, label, PICTURE, shading.trees, osl=shading.osl)
     # By pointer, since several targets may have one output.

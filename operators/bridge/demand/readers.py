@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Attributes that each node type reads, and the materials, objects and collections that it receives."""
+"""Attributes that each node type reads, and the materials, objects and collections that it receives.
+
+A function `_read_TYPE(walk, node, output, context)` serves one type of node. `walk` is the NodeWalk that the reads are
+added to, `output` the output that is used, `context` the enclosing group nodes, the innermost last.
+"""
 
 import bpy
 

@@ -82,6 +82,7 @@ class NodeWalk:
             if not links:
                 return self._unlinked_value(node, socket)
             source, output = links[0]
+            # altered: animated in more than the values of its inputs.
             if source.bl_idname == "FunctionNodeInputString":
                 return None if source.mute or self.is_altered(source) else source.string
             if source.bl_idname == "NodeGroupInput" and not context:

@@ -31,7 +31,7 @@ def measure(subjects: list[AccuracySubject], show_progress: bool | None = None) 
 
     show_progress: whether there is a bar, None for one in a terminal only.
     """
-    write, note = mesh_writer()
+    write, note = mesh_writer()  # writes a surface into a Blender mesh; note: why that cannot be timed, else ""
     with Progress(len(subjects), "accuracy", show_progress) as bar:
         try:
             for done, subject in enumerate(subjects):

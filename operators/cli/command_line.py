@@ -22,7 +22,10 @@ from .parser import PROGRAM, build_parser
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code."""
+    """Run one command; `argv` without the program's name (None: the process's own). Returns the exit code.
+
+    Inside `stopping.listening` a signal raises KeyboardInterrupt between two steps of the work.
+    """
     with stopping.listening():
         try:
             return _run(argv)

@@ -23,7 +23,7 @@ def add_import(verb: argparse.ArgumentParser) -> None:
     verb.add_argument("--store", type=path, required=True, metavar="DIR", help="folder to write")
     verb.add_argument(
         "--extent",
-        type=pair("x", float, float("inf")),
+        type=pair("x", float, max_value=float("inf")),
         metavar="XxY",
         help="metres east and north, instead of the file's",
     )

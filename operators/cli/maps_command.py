@@ -66,7 +66,7 @@ def subjects_of_store(
     """
     views = () if path is None else views_along(path, frames, resolution)
     requests = tuple(AttributeRequest(name, readers=(READER,)) for name in check_names(names))
-    request = MapRequest(requests, out, views, only_seen=bool(views))
+    request = MapRequest(requests, out, views, only_seen=bool(views))  # ground outside all views: coarsest images
     return [MapSubject(StoreFrames.name, open_store(store), request)]
 
 
@@ -106,8 +106,9 @@ def subjects_of_scene(
     options = {"camera": source.camera, "resolution": resolution}
     subjects = []
     for obj in source.objects:
-        *_, request = visit_for_request(obj, source.scene, names, frames, **options)  # after fractions of the work
+        *_, request = visit_for_request(obj, source.scene, names, frames, **options)  # the last item: progress is first
         request = replace(request, folder=out / file_name(obj))
+        # Shapes missing land. verified: checks all of its files first, since a bake reads them all.
         field = raster_of(request.store, request.land, session.open_field, verified=True)
         subjects.append(MapSubject(obj.name, field, request))
     return subjects

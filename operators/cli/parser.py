@@ -57,7 +57,7 @@ class Verb(NamedTuple):
 
 
 def _verbs() -> dict[str, Verb]:
-    """Return all verbs by name."""
+    """Return all verbs by name: of each its help, the function that runs it and the one that adds its options."""
     found = {
         "import": Verb("turn a height map into a store", import_verbs.run_import, import_options.add_import),
         "info": Verb(

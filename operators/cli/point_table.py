@@ -51,7 +51,7 @@ def parse_points(content: bytes, name: str, added: Sequence[str], crs: str, is_d
     first, _, rest = text.partition("\n")
     if first.strip().casefold().startswith("sep=") and len(first.strip()) <= 5:  # a line of Excel's, as sep=;
         text = rest
-    lines, delimiter = _split_into_cells(text, name)
+    lines, delimiter = _split_into_cells(text, name)  # lines: (number of the line, its cells)
     names = [cell.strip() for cell in lines[0][1]] if lines else []
     columns = _find_coordinates(names, name, crs, is_degrees)
     doubled = [column for column in added if column in names]
@@ -122,7 +122,8 @@ def _find_coordinates(names: list[str], name: str, crs: str, is_degrees: bool) -
     """Return the positions of the x and the y column by their names.
 
     names: the columns' names. name: the table's name and crs: the store's system, in errors. is_degrees: the store is
-    in degrees. Raises TerrainError unless there is one of each.
+    in degrees. Raises TerrainError unless there is one of each. ANY, LENGTHS and DEGREES: the names that x and y may
+    have in any system, in one of lengths (as easting), and in one of degrees (as longitude).
     """
     folded = [column.casefold() for column in names]
     for pair in (ANY, LENGTHS, DEGREES):

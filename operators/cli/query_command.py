@@ -33,10 +33,12 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     """
     if out is not None:
         check_target(out)
+    # descriptors: the file may be /dev/stdin.
     content = read_named(points, "The points file", "a table as CSV", MAX_BYTES, descriptors=True)
     field, placing = open_store(store), placing_of(store)
     is_degrees = placing.metres_y > LONGEST_UNIT  # no unit of length is so long
-    names, rows, coordinates = parse_points(content, str(points), () if as_line else FOUND, placing.crs, is_degrees)
+    forbidden = () if as_line else FOUND  # names that columns of the file may not have
+    names, rows, coordinates = parse_points(content, str(points), forbidden, placing.crs, is_degrees)
     positions = placing.to_terrain(coordinates)  # metres from the terrain's middle
     if as_line:
         found = profile(field, positions)

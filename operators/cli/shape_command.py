@@ -34,7 +34,10 @@ def run(
 
     Args:
         stack: JSON file of height operators.
-        path, frames, resolution, pixel_error: camera path whose visible tiles are shaped; None for all tiles.
+        path: camera path whose visible tiles are shaped; None for all tiles.
+        frames: numbers of frames of the path, None for all.
+        resolution: pixels of the path's camera.
+        pixel_error: pixels of change below which visible tiles get no finer level.
         whole: allow shaping all tiles of a large raster.
         finish_early_s: seconds after which the levels that are done suffice.
         show_progress: whether there is a progress bar, None for one in a terminal only.

@@ -83,7 +83,10 @@ def frame_reporter(arguments, label: str):
 
 
 def _export_source(arguments):
-    """Return the frames to export, of a scene or of a store seen along a camera path. Raises UsageError."""
+    """Return the frames to export, of a scene or of a store seen along a camera path. Raises UsageError.
+
+    --job-stores, a farm job's folder for the stores that its tasks import, and scatters are of scenes only.
+    """
     from ...cbt_terrain.field.heightfield import INTERPOLATIONS
     from ...cbt_terrain.view.criterion import Criterion
     from ..blender import need_bpy
@@ -93,7 +96,7 @@ def _export_source(arguments):
     from .argument_types import given_settings
 
     _check_source(arguments)
-    settings, displacement = given_settings(arguments), _displacement(arguments)
+    settings, displacement = given_settings(arguments), _displacement(arguments)  # settings: of the criterion
     if arguments.scene:
         need_bpy("A .blend file")
         if arguments.anchor:

@@ -72,8 +72,8 @@ def run(out: Path, show_progress: bool | None = None) -> None:
         warmup.wait()
         end_step("Import", f"source: the island, {SIZE} x {SIZE} samples", WEIGHT["import"])
         # A pixel of the flight covers 3 m or more. The finest level, of 2 m, would change heights by 1 m and take most
-        # of the time: it is left out.
-        coarse = whole_land(open_store(out / "source").lattice, 1)
+        # of the time: only levels 1 and coarser are shaped.
+        coarse = whole_land(open_store(out / "source").lattice, finest=1)
         report = shape_store(out / "source", STACK, store, coarse)
         tiles = f"{report['tiles_built']} of {report['tiles_there_are']} tiles"
         end_step("Land", f"store: {', '.join(entry.name.lower() for entry in STACK.entries)}, {tiles}", WEIGHT["land"])

@@ -19,7 +19,8 @@ class Cover:
         color: linear RGB.
         noise: size of the noise in metres.
         bands: limits (low, high, edge) by quantity; infinite ones are open.
-        ragged, strength: as of a terrain's layer.
+        ragged: largest shift of the limits by the noise, in widths of their edges.
+        strength: factor on the weight that the limits give.
     """
 
     name: str

@@ -110,7 +110,10 @@ def write_page(
 
 
 def _level_blocks(levels: dict) -> list:
-    """Return the section on the sizes of triangles, with the two drawings by level."""
+    """Return the section on the sizes of triangles, with the two drawings by level.
+
+    levels: "frame", "error_px" and "triangles" of the drawings.
+    """
     drawn = f"Frame {levels['frame']} at {levels['error_px']:g} pixels, {levels['triangles']:,} triangles"
     from_camera = PagePicture("levels.png", f"{drawn}, from the camera.")
     from_above = PagePicture("plan.png", "The same mesh from above; the red lines bound the camera's view.")
@@ -126,7 +129,10 @@ def _level_blocks(levels: dict) -> list:
 
 
 def _material_blocks(effects: dict[int, dict]) -> list:
-    """Return the section on the maps and attributes of the material, with the table of computed attributes."""
+    """Return the section on the maps and attributes of the material, with the table of computed attributes.
+
+    effects: the EffectStatus of each attribute by its name, by the number of the pictured frame.
+    """
     return [
         Heading("What the material reads"),
         Text(
@@ -140,7 +146,10 @@ def _material_blocks(effects: dict[int, dict]) -> list:
 
 
 def _figures(frames: list[dict], size: int, error_px: float) -> list[tuple[str, str]]:
-    """Return (value, meaning) of the main figures of all frames. size: samples along a side."""
+    """Return (value, meaning) of the main figures of all frames.
+
+    frames: values of each exported frame by name. size: samples along a side. error_px: the criterion.
+    """
     triangles = [frame["triangles"] for frame in frames]
     worst = bound_text(max(frame["bound_px"] for frame in frames), "px")
     return [
@@ -178,7 +187,10 @@ def _skipped(effects: dict[int, dict]) -> list[str]:
 
 
 def _effects_table(effects: dict[int, dict]) -> Table:
-    """Return the table of computed attributes: their readers in the first pictured frame, and their cost in each."""
+    """Return the table of computed attributes: their readers in the first pictured frame, and their cost in each.
+
+    effects: the EffectStatus of each attribute by its name, by the number of the pictured frame.
+    """
     skipped, rows = _skipped(effects), []
     for name, first in next(iter(effects.values())).items():
         if name not in skipped:
@@ -202,7 +214,10 @@ def _frames_table(frames: list[dict]) -> Table:
 
 
 def _chart(frames: list[dict]) -> str:
-    """Draw triangles as bars and milliseconds as a line, each from 0 to its maximum."""
+    """Draw triangles as bars and milliseconds as a line, each from 0 to its maximum; return the drawing as SVG.
+
+    frames: values of each exported frame by name.
+    """
     width, height, left, right, top, bottom = 1040, 240, 72, 72, 16, 28
     wide, high = width - left - right, height - top - bottom
     max_triangles, max_ms = max(f["triangles"] for f in frames), max(f["ms"]["total"] for f in frames)

@@ -60,6 +60,7 @@ def build(out: Path, store: Path, flight, frames: range, resolution: tuple[int, 
     settings = obj.adaptive_terrain
     settings.enabled, settings.store = True, str(store.resolve())
     for detail in (settings.render, settings.viewport):
+        # morph: ratio of errors at which a vertex has its final height; 1 without geomorph
         detail.error_px, detail.smooth_transitions = criterion.error_px, criterion.morph > 1.0
     scene.frame_set(frames[0])
     session.update_object(obj, bpy.context.evaluated_depsgraph_get(), RENDER)
@@ -126,7 +127,7 @@ def add_sky(scene) -> None:
     direction = n.add("ShaderNodeTexCoord").outputs["Generated"]
     up = n.math("MAXIMUM", n.add("ShaderNodeSeparateXYZ", {0: direction}).outputs["Z"], 0.0)
     sky = n.mix(n.math("POWER", up, 0.5), n.horizon(direction, sun_direction()), ZENITH)
-    # high thin clouds
+    # High thin clouds: each direction's point on a plane above the camera; 0.12 keeps it finite at the horizon.
     high = n.vector("DIVIDE", direction, n.math("ADD", up, 0.12))
     inputs = {
         "Vector": n.vector("MULTIPLY", high, CLOUDS),
@@ -136,7 +137,8 @@ def add_sky(scene) -> None:
         "Distortion": 0.5,
     }
     cloud = n.math("MULTIPLY", n.smooth(n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.46, 0.8), 0.55)
-    sky = n.mix(n.math("MULTIPLY", cloud, n.smooth(up, 0.0, 0.25)), sky, (1.0, 0.95, 0.9, 1.0))
+    low_to_high = n.smooth(up, 0.0, 0.25)  # a smooth step from 0 to 1: no clouds at the horizon
+    sky = n.mix(n.math("MULTIPLY", cloud, low_to_high), sky, (1.0, 0.95, 0.9, 1.0))
     background = n.add("ShaderNodeBackground", {"Color": sky, "Strength": SKY_STRENGTH}).outputs[0]
     n.add("ShaderNodeOutputWorld", {"Surface": background})
     light = bpy.data.lights.new("Sun", "SUN")
@@ -178,7 +180,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
     """Draw one frame's triangles by level: `levels.png` from the camera, `plan.png` from above with its view.
 
     An error of `error_px` pixels makes single triangles visible. Returns their number. The scene, its materials and
-    its camera stay changed, and are not saved.
+    its camera stay changed, and are not saved. plan_resolution: pixels of `plan.png`.
     """
     scene.frame_set(frame)
     camera, settings = scene.camera, obj.adaptive_terrain

@@ -74,16 +74,20 @@ def _request_of(obj, depsgraph, error_m: float) -> Request:
         max_triangles=detail.max_triangles if detail.limit_triangles else None,
     )
     request = gather(obj, depsgraph, criterion=criterion)
-    # `request` has the attributes that viewports read; None adds those that renders read.
-    rendered = gather_effects(obj, evaluated, request.placement, depsgraph, RENDER, None)
+    # `request` has the attributes that viewports read; these are those that renders read.
+    rendered = gather_effects(obj, evaluated, request.placement, depsgraph, RENDER, names=None)
     effects = replace(request.effects, requests=request.effects.requests + rendered.requests)
-    land = land_of(obj, evaluated, depsgraph, waits=True)  # viewports may show a preview, and of a hidden terrain none
+    # The request's land is that of the viewport: a preview, or none if the terrain is hidden. Wait for the shaped land.
+    land = land_of(obj, evaluated, depsgraph, waits=True)
     store = absolute_path(evaluated.adaptive_terrain.store)
     return replace(request, effects=effects, land=land, store=store)
 
 
 def _with_attributes(surface: Surface, heights: HeightField, request: Request) -> Surface:
-    """Return a baked surface with a request's attributes, at the finest samples' scale because it has no camera."""
+    """Return a baked surface with a request's attributes, at the finest samples' scale because it has no camera.
+
+    Those from which geometry is made have the scale `geometry_metres` of the request (metres between samples).
+    """
     from ...cbt_terrain.attributes.evaluate import EffectRequest, evaluate
     from ...cbt_terrain.history.frame_history import FrameHistory
 

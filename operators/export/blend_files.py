@@ -30,7 +30,7 @@ def open_scene(blend: Path, stores: Path | None = None) -> tuple:
             f"Blender cannot open {blend} ({str(error).strip()})",
             expected=f"a file that Blender {bpy.app.version_string} or an older version saved",
         ) from None
-    check_named_files(blend)
+    check_named_files(blend)  # refuses pipes and devices, on which Blender would wait
     scene = bpy.context.scene
     objects = session.terrains_of(scene)
     if not objects:
@@ -88,7 +88,8 @@ def new_object(name: str):
 def open_empty_file() -> None:
     """Open an empty file, and keep the preferences.
 
-    Factory settings would disable this extension, and Blender would delete its wheels.
+    Factory settings (`read_factory_settings`) would disable this extension, and Blender would delete its wheels.
+    `read_homefile` replaces the start-up file only.
     """
     import bpy
 

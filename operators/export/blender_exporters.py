@@ -133,7 +133,7 @@ def export_glb(obj, name: str) -> None:
 
     check_not_sheared(obj)
     _enable_gltf()
-    with _underscored_names([obj.data]):
+    with _underscored_names([obj.data]):  # glTF exports only attributes that begin with an underscore
         bpy.ops.export_scene.gltf(
             filepath=name,
             export_format="GLB",

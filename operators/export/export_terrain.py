@@ -45,7 +45,7 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
     check_extension = None  # the suffix that the user types is the format
     filter_glob: bpy.props.StringProperty(default=GLOB, options={"HIDDEN"})
 
-    # Set when the operator is run again with the chosen options, once the kernels are ready (session/polls.py).
+    # Set for the second run of the operator, with the chosen file, which first compiles missing kernels.
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def kernels(self, context) -> list[ModuleType]:
@@ -67,10 +67,10 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
 
     @cancelled_by_errors
     def execute(self, context):
-        """Write the terrain to the chosen file, and restore the viewport's detail even after an error.
+        """Write the terrain for which the dialog was opened, and restore the viewport's detail even after an error.
 
-        After the dialog, the operator invokes itself anew only if kernels are missing, because Blender shows no report
-        of a nested operator.
+        After the dialog, if kernels are missing, the operator invokes itself anew (`is_chosen`), and that run waits for
+        them. Otherwise it writes at once, because Blender shows no report of a nested operator.
         """
         with remembered_object(self, context):
             if self.options.is_invoke and not self.is_chosen and not self._has_kernels(context):

@@ -36,8 +36,12 @@ SIZES = (
 
 
 def mask_requests(obj, depsgraph, field) -> tuple:
-    """Return requests for the attributes that tiles get as masks: layers of the store, and splats; () for none."""
-    num_splats = -(-len(obj.adaptive_terrain.layers) // 4)  # an attribute holds the weights of four layers
+    """Return requests for the attributes that tiles get as masks; () for none.
+
+    These are the store's own layers, such as by-products of land effects, and the splats: the weights of the terrain's
+    material layers, four in an attribute.
+    """
+    num_splats = -(-len(obj.adaptive_terrain.layers) // 4)
     names = [*(name for name in ATTRIBUTES if name in field.layers), *SPLATS[:num_splats]]
     evaluated = obj.evaluated_get(depsgraph)
     return (
@@ -60,7 +64,7 @@ def step_property():
 
 
 class LandExport(FileJobOperator):
-    """Base of operators that write a terrain's shaped land to files beside the window.
+    """Base of operators that write a terrain's shaped land to files while the window stays usable.
 
     A subclass has `prepare(obj, depsgraph, field)`, which returns the modules of kernels that the export needs and a
     function that writes on any thread: it gets a function for the progress, and returns the line to report. The dialog
@@ -137,7 +141,8 @@ class ExportHeights(LandExport, bpy.types.Operator):
     def prepare(self, _obj, _depsgraph, field):
         """Return the kernels of points between samples, and a function that writes heights and layers as rasters.
 
-        The rasters are named after the chosen file.
+        Only another distance between heights, or finer files of a mosaic, need the kernels. The rasters are named after
+        the chosen file.
         """
         from ...kernels.query import grid
 
@@ -227,10 +232,11 @@ class ExportHeightTiles(LandExport, bpy.types.Operator):
         from ...kernels.query import grid
 
         path, sizes = Path(self.filepath), {FREE: self.free_size, WHOLE: 0}  # 0: one tile
+        # Either a number of tiles covers the terrain exactly, or samples have a distance in metres (0: the raster's).
         fits = self.fit and self.size != WHOLE
         settings = HeightTiles(
             form=path.suffix[1:].lower(),
-            size=sizes[self.size] if self.size in sizes else int(self.size),
+            size=sizes[self.size] if self.size in sizes else int(self.size),  # samples of a tile's side
             tiles=tuple(self.tiles) if fits else None,  # numbers east and south
             step=0.0 if fits else self.step,
             overlap=self.overlap,

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Frames to files: each is written beside and renamed, and a summary, written last, marks a frame as complete."""
+"""Frames to files: each is written beside and renamed, and a summary, written last, marks a frame as complete.
+
+A Piece is one terrain in one frame: its name, its mesh, the engine's Update, facts for JSON and its Blender object.
+"""
 
 import os
 import time
@@ -89,8 +92,8 @@ def write_frames(
         write: writes a frame's files into `out` and returns "files" (sizes in bytes by name), "terrains" (their
             figures) and "elapsed_ms".
         settings: what all frames have in common, as JSON.
-        inputs: returns the files that a frame is made of. They are read once, before the first frame that needs
-            them: Blender keeps them, too, and a later change is none of these frames'.
+        inputs: returns the files that a frame is made of. The digest of each is computed once, before the first
+            frame that needs it: Blender, too, keeps what it has read, so later changes do not affect the frames.
         formats: suffixes, without dots, of which a complete frame has a file each; () if any files complete it.
         resume: leave frames that are complete with the same settings, inputs and formats.
         on_frame: called after each frame with its number, its summary, and whether it was complete before.
@@ -107,10 +110,10 @@ def write_frames(
         if existing is not None and resume:
             on_frame(frame, existing, True)
             continue
-        if existing is None:  # a summary of other files must not stay while these are written
+        if existing is None:  # a summary of other files must not stay while these are written; one of the same may
             _remove_summary(summary_path)
         summary = {"frame": frame, "settings": settings_key, "inputs": digests, **write(frame)}
-        summary = close_summary(summary, out)
+        summary = close_summary(summary, out)  # adds digests of the files, and its own checksum
         write_text(summary_path, finite_json(summary, str(summary_path), indent=1) + "\n")
         on_frame(frame, summary, False)
 
@@ -129,7 +132,7 @@ def _remove_summary(path: Path) -> None:
 
 
 def _replace_special(path: Path) -> None:
-    """Put an empty file in the place of a link, a pipe or a socket, to be removed; a link's target stays as it is."""
+    """Replace a link, a pipe or a socket by an empty file, which `remove_file` accepts; a link's target stays."""
     if path.is_symlink() or path.is_fifo() or path.is_socket():
         with private_folder(path.parent) as folder:
             (folder / path.name).touch()
@@ -219,7 +222,8 @@ def write_files(folder: Path, contents: dict[str, str | bytes]) -> None:
 def _export_frame(source, frame: int, formats: Sequence[str], out: Path) -> dict:
     """Write the files of one frame in all formats; return their sizes by name, the terrains' figures and the time.
 
-    The result has the keys "files", "terrains" and "elapsed_ms", which go into the frame's summary.
+    The result has the keys "files", "terrains" and "elapsed_ms", which go into the frame's summary. source: a
+    StoreFrames or SceneFrames.
     """
     start = time.perf_counter()
     files, pieces = [], []

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file."""
+"""Where exported frames come from: a store seen along a camera path, or the terrains of a .blend file.
+
+Both classes have `settings` (what all frames depend on, for a digest), `inputs` (the files of a frame) and `pieces`
+(the terrains of a frame, each refined for the camera).
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -107,7 +111,10 @@ class StoreFrames:
         return self.files
 
     def pieces(self, frame: int) -> Iterator[Piece]:
-        """Yield one Piece: the terrain as the path's camera sees it at `frame`."""
+        """Yield one Piece: the terrain as the path's camera sees it at `frame`, and the tree that rebuilds its mesh.
+
+        If the store is exported from Blender, its object `obj` also gets the mesh, for Blender's exporters.
+        """
         view = self.path.view(frame, self.resolution)
         update = self.terrain.update(self.criterion, [view], self.placement)
         tree, tree_settings = self.terrain.saved()
@@ -120,7 +127,8 @@ class StoreFrames:
             from ..bridge.writer import write_mesh
 
             write_mesh(self.obj.data, surface)
-        yield Piece(self.name, surface, self.field.origin, update, info, self.obj, tree)
+        origin = self.field.origin  # float64, metres: positions are relative to it
+        yield Piece(self.name, surface, origin=origin, update=update, info=info, obj=self.obj, tree=tree)
 
 
 class SceneFrames:
@@ -200,19 +208,23 @@ def scene_piece(obj, depsgraph, frame: int, **options) -> Piece:
         update = session.update_object(obj, depsgraph, RENDER, **options)
         request = gather(obj, depsgraph, RENDER, **options)
         record = session.record_of(obj)
-        surface = clean_up(session.shown_surface(record, update), request.cleanup).copy()
+        shown = session.shown_surface(record, update)  # the update's surface with attributes
+        surface = clean_up(shown, request.cleanup).copy()
+        # tree: bytes from which the mesh can be rebuilt, with the settings that this needs
         heights, (tree, tree_settings) = record.field, record.terrain.saved()
         children, scatters = {child.session_uid: child for child in scatters_of(obj)}, {}
         for item in request.scatters.items:
             child = children[item.uid]
             placement = np.array(child.evaluated_get(depsgraph).matrix_world, np.float64)
             points = record.scatters[item.uid].points
-            if follows_scale(child):  # sizes times the mean scale along the axes
+            if follows_scale(child):  # of an older version, with sizes times the mean scale along the axes
                 points = replace(points, size=points.size * np.float32(np.cbrt(abs(determinant(placement[:3, :3])))))
             scatters[file_name(child)] = points, placement
     info = describe(update, request.criterion, request.views, heights, request.placement)
     info |= {"frame": frame, **counts(surface), "tree": tree_settings, "frozen": bool(request.frozen)}
-    return Piece(file_name(obj), surface, heights.origin, update, info, obj, tree, scatters)
+    return Piece(
+        file_name(obj), surface, origin=heights.origin, update=update, info=info, obj=obj, tree=tree, scatters=scatters
+    )
 
 
 def baked_piece(
@@ -247,7 +259,8 @@ def baked_piece(
 
         write_mesh(obj.data, update.surface)
     info = describe(update, criterion, [], field) | fit_info
-    return Piece(StoreFrames.name, update.surface, field.origin, update, info, obj)
+    # Positions of the surface are relative to field.origin, float64 metres.
+    return Piece(StoreFrames.name, update.surface, origin=field.origin, update=update, info=info, obj=obj)
 
 
 def describe(update: Update, criterion: Criterion, views: list[View], field, placement=None) -> dict:

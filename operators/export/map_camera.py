@@ -94,6 +94,7 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     spare = max(1.0, MARGIN * float(np.ptp(heights)))
     top = float(heights.max()) + spare  # of the camera
 
+    # The camera: its frame is as wide as the terrain and its clip range holds all heights with the margin `spare`.
     camera = _find_or_add(scene, NAME, lambda: bpy.data.cameras.new(NAME), "CAMERA")
     data = camera.data
     data.type, data.sensor_fit, data.ortho_scale = "ORTHO", "HORIZONTAL", lengths[0] * scale[0]
@@ -103,13 +104,14 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
     to_world[:3, :3], to_world[:3, 3] = axes, matrix[:3, 3] + axes[:, 2] * top
     camera.matrix_world = Matrix(to_world.tolist())
     camera[EXTENT] = json.dumps([*south_west, *north_east, placing.crs])
+    # The render: keep its size for `leave_map`, then give it that of the map.
     render = scene.render
     if scene.camera is None or BEFORE not in scene.camera:  # else the render has the size of another map
         camera[BEFORE] = [float(getattr(render, name)) for name in SIZE]
     scene.camera = camera
     render.resolution_x, render.resolution_y, render.resolution_percentage = *size, 100
     render.pixel_aspect_x, render.pixel_aspect_y = (side / min(pixel) for side in pixel)
-    camera[STATE] = _camera_state(scene)
+    camera[STATE] = _camera_state(scene)  # shows later whether the extent still fits the camera
     if with_sun and not any(other.type == "LIGHT" and other.data.type == "SUN" for other in scene.objects):
         sun = _find_or_add(scene, SUN_NAME, lambda: bpy.data.lights.new(SUN_NAME, "SUN"), "LIGHT")
         sun.data.energy = 3.0
@@ -118,10 +120,14 @@ def add_map_camera(obj, depsgraph, pixels_per_cell: int, metres_a_pixel: float |
 
 
 def leave_map(scene) -> None:
-    """Give the scene the size of its pictures before the map, if its camera is an unchanged map camera."""
+    """Restore the resolution and pixel aspect that the render had before the map, if the map camera is unchanged.
+
+    The property BEFORE of the scene's camera, written by `add_map_camera`, holds them. Nothing changes with another
+    camera.
+    """
     camera = scene.camera
     if camera is not None and BEFORE in camera and is_unchanged(scene):
-        for name, value in zip(SIZE, camera[BEFORE], strict=True):
+        for name, value in zip(SIZE, camera[BEFORE], strict=True):  # stored as floats; resolutions are integers
             setattr(scene.render, name, value if name.startswith("pixel") else int(value))
 
 
@@ -139,7 +145,8 @@ def _camera_state(scene) -> list[float]:
 def is_unchanged(scene) -> bool:
     """Return whether the scene's camera and the picture's aspect are those of its map, within rounding.
 
-    True for a camera without stored numbers.
+    True for a camera without stored numbers. `now` and `stored`: the width of the picture in metres, two shifts, the
+    aspect, and the three rows of the camera's matrix.
     """
     now, location = np.array(_camera_state(scene)), slice(7, None, 4)  # the last number of each row of the matrix
     stored, pixel = np.array(scene.camera.get(STATE, now)), now[0] / scene.render.resolution_x  # side in metres

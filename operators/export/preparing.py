@@ -1,5 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Make the stores, land and maps of a scene once ahead of its frames, so that no two workers make them at once."""
+"""Make the stores, land and maps of a scene once ahead of its frames, so that no two workers make them at once.
+
+A store of a large source may be incomplete: it has every n-th sample. Then the tiles of the raster that the frames see
+can be loaded in more detail. A farm's job does that in a copy of the store (its job store), or, if that is not enough,
+begins an import of all samples into the terrain's own store. Several processes may share the tiles of either.
+
+A function that makes a part gets a terrain (`obj`) and the Preparation `task`: the frames, where to report, the folder
+of the job's stores and this process's share.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -73,23 +81,23 @@ def import_store(obj, task: Preparation) -> None:
     Raises TerrainError, also for a damaged store.
     """
     store = store_folder_of(obj)
-    if can_load_tiles(store) and not is_begun(obj, task.stores):  # else a job imports all samples
+    if can_load_tiles(store) and not is_begun(obj, task.stores):  # is_begun: a job has begun to import all samples
         if text := load_tiles(obj, task.frames, task.stores, task.on_progress):
             task.say(f"{obj.name}: {text}")
             return
         task.say(f"{obj.name}: the frames need more detail than tiles in view have, so all samples are imported")
-    if is_missing(store):
+    if is_missing(store):  # or incomplete
         report = import_source(settings_of(obj), store, lambda fraction, _message: task.on_progress(fraction))
         task.say(f"{obj.name}: imported, {import_summary(report)}")
     else:
-        session.open_field(str(store))
+        session.open_field(str(store))  # raises the error of a damaged store
         task.say(f"{obj.name}: its store is there")
 
 
 def find_view(obj, task: Preparation) -> None:
-    """Choose the tiles that the frames see, for `read_view`, if single tiles of the terrain can be loaded.
+    """Choose the tiles that the frames see, if the store is incomplete; `read_view` then reads them.
 
-    If a job's frames need more than tiles have, begin the import of all samples. Raises TerrainError.
+    If a job's frames need more detail than tiles have, begin the import of all samples. Raises TerrainError.
     """
     if can_load_tiles(store_folder_of(obj)):
         text = plan_tiles(obj, task.frames, task.stores) or _begin_import(obj, task)
@@ -97,7 +105,10 @@ def find_view(obj, task: Preparation) -> None:
 
 
 def read_view(obj, task: Preparation) -> None:
-    """Read this process's share of the tiles that `find_view` has found. Raises TerrainError."""
+    """Read this process's share of the tiles that `find_view` has chosen into files, which `load_view` then loads.
+
+    Raises TerrainError.
+    """
     scene_store = store_folder_of(obj)
     if can_load_tiles(scene_store):
         store = scene_store if task.stores is None else job_store(obj, task.stores)
@@ -107,8 +118,8 @@ def read_view(obj, task: Preparation) -> None:
 def load_view(obj, task: Preparation) -> None:
     """Load the tiles that the frames see into a job's store; if that is not enough, begin the import of all samples.
 
-    Also begin the import of a missing store that several computers share. `import_share` and `import_store` then do
-    the rest. Raises TerrainError.
+    Also begin the import of a missing store that several computers share; remove the record of an earlier one if one
+    computer is enough. `import_share` and `import_store` then do the rest. Raises TerrainError.
     """
     store = store_folder_of(obj)
     if can_load_tiles(store):
@@ -116,7 +127,7 @@ def load_view(obj, task: Preparation) -> None:
             text = load_tiles(obj, task.frames, task.stores, task.on_progress)
             task.say(f"{obj.name}: {text or _begin_import(obj, task)}")
     elif is_missing(store):
-        if shared_tiles(obj):
+        if shared_tiles(obj):  # the number of tiles, 0 if one computer imports all
             task.say(f"{obj.name}: {_begin_import(obj, task)}")
         else:
             forget_import(obj, task.stores)
@@ -130,7 +141,10 @@ def _begin_import(obj, task: Preparation) -> str:
 
 
 def import_share(step: str, obj, task: Preparation) -> None:
-    """Do this process's share of a step of the import that `load_view` has begun, if any. Raises TerrainError."""
+    """Do this process's share of a step of the import that `load_view` has begun, if any. Raises TerrainError.
+
+    step: one of IMPORT_PARTS.
+    """
     assert task.stores is not None, "the command line has checked it"
     if is_missing(store_folder_of(obj)):
         if text := import_part(obj, task.stores, step, task.share, task.on_progress):
@@ -151,14 +165,14 @@ def shape_land(obj, task: Preparation) -> None:
     if land is not None:
         views = []
         if land.of_views:
-            # about_middle: in the space of the raster, as `wanted_land` takes them.
+            # Views relative to the raster's middle instead of the object's origin, as `wanted_land` takes them.
             *_, views = visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
         wanted = wanted_land(obj, bpy.context.evaluated_depsgraph_get(), views)
-        field_of_land(wanted, session.open_field, verified=True)  # shapes it
+        field_of_land(wanted, session.open_field, verified=True)  # shapes it, or checks all its files
         say(f"{obj.name}: its land is shaped")
     if names := maps_shown_by_materials(obj):
         shot = frames if obj.adaptive_terrain.maps.frames == SHOT else None
-        *_, request = visit_for_request(obj, scene, names, shot)
+        *_, request = visit_for_request(obj, scene, names, shot)  # the last item, after fractions of the work
         field = raster_of(request.store, request.land, session.open_field, verified=True)
         say(maps_summary(bake_maps(request, field, task.on_progress), obj.name))
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Render Map: the picture of the map camera, whole or in tiles, with files that give its position on Earth.
 
-Blender renders on another thread if its operator is invoked in a window. Esc ends such a render, and Python cannot.
+Blender renders on another thread, beside the window, if its operator is invoked in one. Esc ends such a render, and
+Python cannot.
 With *Lock Interface* no other event arrives until the picture is complete, while the status bar shows the progress.
 """
 
@@ -59,8 +60,8 @@ def map_steps(
     Each picture gets a world file and, with `with_geotiff`, becomes a GeoTIFF, too. All tiles show the mesh of the
     whole map, so they fit together.
 
-    tiles: number of pictures across and down; several have column and row in their names. job: shows the progress, and
-    renders beside the window; without it nothing is yielded before a picture is complete.
+    tiles: number of pictures across and down; several have column and row, from the top left, in their names. job:
+    shows the progress, and renders beside the window; without it nothing is yielded before a picture is complete.
     """
     extent, size = extent_of(scene.camera), render_resolution(scene)
     form = FORMATS.get(path.suffix.lower())
@@ -98,7 +99,7 @@ def map_steps(
 
 
 def _check_keeps_sources(scene, files: set[Path]) -> None:
-    """Raise TerrainError if one of the files to write is the height map of a terrain."""
+    """Raise TerrainError if one of the files to write is a height map of a terrain, chosen now or imported before."""
     for settings in (obj.adaptive_terrain for obj in session.terrains_of(scene)):
         imported = imported_of(settings)
         sources = [settings.source_path, *(item.path for item in settings.more_sources)]

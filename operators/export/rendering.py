@@ -68,7 +68,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
     terrains: list[dict] = []  # filled by `_collect_figures` while Blender renders
     with handlers_paused():  # the render sets it again, and then updates each terrain once
         scene.frame_set(frame)
-    _check_land(source.objects, frame)
+    _check_land(source.objects, frame)  # before the render, which may take long: no file of a user is in the way
     with private_folder(out) as folder:
         picture_folder, output_folder = folder / "pictures", folder / "outputs"
         scene.render.filepath = escape_braces(picture_folder / f"frame_{frame:04d}")
@@ -76,7 +76,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
         with (
             _collect_figures(terrains, source.objects),
             redirected_outputs(scene, output_folder),
-            stale_renders.raise_for_stale_frames(),
+            stale_renders.raise_for_stale_frames(),  # ends the render at a terrain that cannot be refined
         ):
             try:
                 bpy.ops.render.render(write_still=True)
@@ -105,7 +105,7 @@ def _render_frame(source: SceneFrames, out: Path, frame: int) -> dict:
 def _check_land(objects: list, frame: int) -> None:
     """Raise TerrainError if a symbolic link or a user's file has the name of a file of a terrain's land.
 
-    This is checked before the render, which may take long. Other errors are left to the render.
+    `land_of` checks the names; it shapes nothing. Other errors are left to the render.
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     for obj in objects:

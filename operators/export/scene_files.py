@@ -183,9 +183,10 @@ def _sequence_files(path: str, numbers: Iterable[int] | None) -> list[str]:
 
 
 def _cache_folders() -> Iterator[str]:
-    """Yield the folders of baked caches, "" for none: simulations, oceans, geometry nodes.
+    """Yield the folders of baked caches: simulations, oceans, geometry nodes; "" for a cache without a folder.
 
-    Caches that are not baked are left out, except those of geometry nodes, since a render may write them itself.
+    Unbaked caches are left out: a render may write them itself, and its frames would then seem stale. Folders of
+    geometry nodes are always listed, since only baking writes them.
     """
     for obj in bpy.data.objects:
         points = [system.point_cache for system in obj.particle_systems]

@@ -106,6 +106,7 @@ def find_complete_summary(
         summary = read_summary(out, frame)
     except (FileNotFoundError, ValueError):
         return None
+    # The same files may be in another folder here, or on another machine.
     if summary["settings"] != settings or _without_folders(summary["inputs"]) != _without_folders(inputs):
         return None
     if not {Path(name).suffix[1:] for name in summary["files"]} >= set(formats):

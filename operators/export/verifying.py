@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The check that a farm makes at the end.
 
-All frames are there and whole, made with one set of settings, of the files that are there now.
+All frames are there and whole, made with one set of settings, of the files that are there now. A summary is the JSON
+that closes a frame: its files and inputs with their digests, and a digest of its settings.
 """
 
 import os

@@ -110,7 +110,7 @@ def job_template(job: FarmJob, guard: str) -> str:
     indent = " " * 8  # of the embedded file in job.yaml
     text = read_template("job.yaml") + steps
     is_shared = job.stores is not None
-    after_shares = "  dependencies: [{dependsOn: Measure}]\n"
+    after_shares = "  dependencies: [{dependsOn: Measure}]\n"  # the last of the shared steps
     parts = {
         "@SHARED_STEPS@\n": _shared_steps(job) if is_shared else "",
         "  @AFTER_SHARES@\n": after_shares if is_shared else "",
@@ -125,7 +125,11 @@ def job_template(job: FarmJob, guard: str) -> str:
 
 
 def _shared_steps(job: FarmJob) -> str:
-    """Return the steps of imports that tasks share: of tiles in view, with incomplete stores, and of all samples."""
+    """Return the steps of imports that tasks share, as YAML.
+
+    With incomplete stores, the first steps load the tiles in view; otherwise the first one only begins imports. The
+    other steps, which depend on the last of these, import all samples where that has begun.
+    """
     first, begin = ("view_steps.yaml", "Load") if job.has_view else ("begin_step.yaml", "Begin")
     text = read_template(first) + read_template("shared_steps.yaml").replace("@BEGIN@", begin)
     return text.replace("@SHARES@", str(_num_shares(job)))

@@ -43,6 +43,7 @@ def install(zip_path, folder):
         fail(f"{zip_path} is no file, expected the extension's zip")
     try:
         with zipfile.ZipFile(zip_path) as archive:
+            # Fails unless it is the version that wrote the job.
             check_version(tomllib.loads(archive.read("blender_manifest.toml").decode())["version"])
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         fail(f"{zip_path} is not the extension's zip ({error})")

@@ -31,6 +31,7 @@ def check_outside(
     """
     home = real_path(home)
     terrain_folders = [real_path(folder) for folder in folders if _is_terrain_folder(folder)]
+    # The job copies what these links point to; files of a terrain's own folders need no check.
     links = [link for folder in terrain_folders for link in _links_in(folder)]
     paths = dict.fromkeys(real_path(path) for path in (*files, *folders, *links))
     outside = [path for path in paths if not path.is_relative_to(home)]

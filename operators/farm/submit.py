@@ -71,7 +71,8 @@ def submit(
     blend, out = real_path(bpy.data.filepath), real_path(out)
     frames = frames or frames_of(scene)
     files = list(dict.fromkeys(real_path(path) for path in scene_files(frames) if os.path.isfile(path)))
-    height_maps, folders, outputs, notes, tiles = [], [], [], [], []
+    height_maps, folders, outputs, notes = [], [], [], []
+    tiles = []  # of each terrain: number of tiles whose import workers share, 0 if they share none
     for obj in objects:
         tiles.append(_add_terrain(obj, height_maps, folders, outputs, shared_disk))
         notes += _import_notes(obj, tiles[-1])
@@ -109,7 +110,7 @@ def submit(
         min_memory_gib=min_memory_gib,
         stores=out / STORES if any(tiles) else None,
         max_tiles=max(tiles, default=0),
-        has_view=any(can_load_tiles(store_folder_of(obj)) for obj in objects),
+        has_view=any(can_load_tiles(store_folder_of(obj)) for obj in objects),  # a task loads tiles in view first
     )
     write_bundle(job, out)
     lines = [f"{out} is a job of {len(set(job.frames)):,} frames, {job.chunk} a task"]
@@ -120,9 +121,10 @@ def submit(
 def _import_notes(obj, num_tiles: int) -> list[str]:
     """Return the notes about the import of a terrain before the frames.
 
-    num_tiles: of those that workers share, 0 if one worker imports all samples, if any.
+    A complete store needs none, nor does a missing one that a single task imports. num_tiles: number of tiles whose
+    import workers share, 0 if they share none.
     """
-    store, loaded = store_folder_of(obj), loaded_text(obj.adaptive_terrain)
+    store, loaded = store_folder_of(obj), loaded_text(obj.adaptive_terrain)  # "" unless the store is incomplete
     state = f"{obj.name}: {loaded or 'its store is missing'}; the job"
     if can_load_tiles(store):
         return [
@@ -138,7 +140,9 @@ def _import_notes(obj, num_tiles: int) -> list[str]:
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path], shared_disk: bool) -> int:
-    """Add the files and folders of one terrain to the lists of a job, and return the number of tiles to share.
+    """Add the files and folders of one terrain to the lists of a job; return the number of tiles that workers import.
+
+    Workers divide the tiles of a large or incomplete store among them; 0 if one task imports the store, or none has to.
 
     height_maps: files to import. folders: existing stores, land and maps. outputs: folders that earlier steps of
     the job write. shared_disk: whether workers share imports; the store and the height maps of a shared one are in no
@@ -159,6 +163,7 @@ def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: lis
             height_maps += sources
     else:
         folders.append(store)
+    # Folders that the job makes from the store: land that height operators shape, and maps.
     derived = [folder_beside(str(store))] if any(entry.on for entry in obj.adaptive_terrain.land.entries) else []
     derived += [map_folder(obj)] if maps_shown_by_materials(obj) else []
     for folder in derived:

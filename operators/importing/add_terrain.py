@@ -46,7 +46,10 @@ class AddTerrain(bpy.types.Operator, AddObjectHelper):
         return context.mode == "OBJECT"
 
     def draw(self, _context):
-        """Draw the options below the viewport after the terrain was added; those without effect are grey."""
+        """Draw the options below the viewport after the terrain was added; those without effect are grey.
+
+        A land that gets its stack of height operators (`_is_shaped`) always has its real size.
+        """
         layout, land = self.layout, LANDS[self.land.lower()]
         layout.use_property_split = True
         layout.prop(self, "land")

@@ -55,11 +55,12 @@ def settings_of(obj) -> ImportSettings:
     if settings.use_heights:
         heights = {"lowest": settings.lowest, "highest": settings.highest}
     files = _files_of(settings)
-    several = names_several(files)
+    several = names_several(files)  # of any formats: the import then finds out what applies to each file
     mosaic = {}
     if may_name_several(files):  # an archive may hold several, too
         mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
     has_encoding, has_cell = (several or has_option(settings.source_path, option) for option in (ENCODING, CELL))
+    has_position = several or has_option(settings.source_path, BAND)  # formats with bands can record one on Earth
     raw = {}
     if is_raw(settings.source_path):
         raw = {
@@ -78,7 +79,7 @@ def settings_of(obj) -> ImportSettings:
         encoding=settings.encoding if settings.encoding != "AUTO" and has_encoding else "",
         cell=settings.cell if settings.cell and has_cell else None,
         first_row_south=settings.first_row_south,
-        project=settings.project.strip() if several or has_option(settings.source_path, BAND) else "",
+        project=settings.project.strip() if has_position else "",
         **raw,
         **heights,
         **mosaic,
@@ -135,10 +136,10 @@ def _size_of(found: imported.Imported | None) -> float:
 
 
 def start_import(operator, run, **properties) -> set[str]:
-    """Run an import operator inside another one: beside the window if there is one, else to its end.
+    """Run an import operator inside another one: as a job beside the window if there is one, else to its end.
 
-    run: its function in bpy.ops. Return FINISHED, beside the window once it has begun, or CANCELLED with its report if
-    it refuses or, without a window, fails.
+    run: its function in bpy.ops. Return FINISHED (of a job, once it has begun), or CANCELLED with the operator's report
+    if it refuses or, without a window, fails.
     """
     return run_nested(operator, run, "EXEC_DEFAULT" if bpy.app.background else "INVOKE_DEFAULT", **properties)
 
@@ -149,7 +150,7 @@ class ImportOperator(JobOperator):
     Attributes:
         shows_first_picture: whether a quick import is shown first.
         before: Imported of the store that the terrain had before, None without one. An import may write its folder.
-        box: corners of the terrain with that store in the world, as of `frame_terrain.box_or_none`.
+        box: corners of the terrain with that store in the world, float64 [8, 3], None without one.
         baked: path of the baked land that the import replaces, "" for none.
     """
 
@@ -163,10 +164,11 @@ class ImportOperator(JobOperator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Import the terrain's height map in a child process; return its report and the path of the store.
 
-        Beside the window, a large one without a store is imported quickly, and `finish` shows it first. Its complete
-        store then replaces the quick one in the same folder, so neither the terrain nor Undo changes the path. If the
-        second import is cancelled or fails, the quick store stays, and its report has the error as its warning. Tiles
-        that views need come before the others, also when an incomplete store is completed.
+        With a window, a large map without a store is first imported quickly, with every n-th sample, and `finish`
+        shows that first picture. Its complete store then replaces the quick one in the same folder, so neither the
+        terrain nor Undo changes the path. If the second import is cancelled or fails, the quick store stays, and its
+        report has the error as its warning. Tiles that views need come before the others, also when an incomplete store
+        is completed.
         """
         settings = settings_of(context.object)
         self.before = imported.imported_of(context.object.adaptive_terrain)
@@ -176,9 +178,9 @@ class ImportOperator(JobOperator):
         if not (self.shows_first_picture and self.beside_window):
             return (yield from self._import(job, settings, folder))
         quick, quick_settings = None, dataclasses.replace(settings, quick=QUICK_SAMPLES)
-        if not changed_ns(absolute_path(folder)):  # there is no store yet
+        if not changed_ns(absolute_path(folder)):  # 0: there is no store yet
             quick = yield from self._import(job, quick_settings, folder)
-            if "loaded" not in quick[0] or job.terrain() is None:  # the store is complete, or its terrain is gone
+            if "loaded" not in quick[0] or job.terrain() is None:  # complete, or its terrain is gone
                 return quick
             self.finish(bpy.context, job.terrain(), quick)
         try:
@@ -195,7 +197,8 @@ class ImportOperator(JobOperator):
     def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, folder: str) -> jobs.Steps:
         """Load the tiles that the views of a first picture need, and show them; the picture stays if that fails.
 
-        A camera that is not placed does not count: its tiles would delay those of the viewports.
+        A camera that is not placed does not count: its tiles would delay those of the viewports. loader: loads tiles
+        into the store at `folder`, by one child process at a time.
         """
         job.raise_if_stopped()
         depsgraph, obj = bpy.context.evaluated_depsgraph_get(), job.terrain()
@@ -213,14 +216,14 @@ class ImportOperator(JobOperator):
     def _complete(
         self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, settings: ImportSettings, folder: str
     ) -> jobs.Steps:
-        """Import all samples, and meanwhile load the tiles that moved views need; return the report and the path."""
+        """Import all samples; `loader` meanwhile loads tiles that moved views need. Return the report and the path."""
         with closing(self._import(job, settings, folder)) as work:
             while True:
                 try:
                     next(work)
                 except StopIteration as end:
                     return end.value
-                if loader.turn(job.terrain()):
+                if loader.turn(job.terrain()):  # a child process has loaded tiles
                     with suppress(TerrainError):  # the panel says why
                         live.show_soon(job.terrain())
                 yield
@@ -231,7 +234,7 @@ class ImportOperator(JobOperator):
 
         job.raise_if_stopped()
         report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
-        yield from jobs.wait_with_result(job)  # for kernels of the update that shows the import
+        yield from jobs.wait_with_result(job)  # until the kernels that refine the imported terrain are compiled
         return report, folder
 
     def abandon(self) -> None:
@@ -246,12 +249,15 @@ class ImportOperator(JobOperator):
         """
         report, folder = result
         before, anchor_before = self.before, anchor_of(obj)
+        # Whether the terrain is where its coordinates are in the scene, and so moves to those of the new raster.
         follows = shared_origin.follows_coordinates(obj, context.scene, before)
+        # Frozen triangles, and the error of the last update, are those of the heights before.
         obj.adaptive_terrain.store, obj.adaptive_terrain.frozen = folder, ""
-        session.record_of(obj).status.error = ""  # of the heights before
+        session.record_of(obj).status.error = ""
         imported.tag_object(obj)
         found = imported.imported_of(obj.adaptive_terrain)
         shared_origin.keep_anchor_inside(obj, found)
+        # How far the new raster moves the origin of the object's space, in metres: the ground itself has to stay.
         shift = shared_origin.origin_shift(obj, before, found, anchor_before)
         if follows:
             if before is None and shared_origin.forget_left_origin(obj, context.scene, found):
@@ -276,7 +282,7 @@ class ImportOperator(JobOperator):
         """Frame a terrain that is new, or whose size has changed by the factor RESIZED or more.
 
         One that has grown by less is framed only in viewports that showed all of it; others may be in use. before:
-        facts of the earlier raster, None without one.
+        facts of the earlier raster, None without one. self.before: those of the new raster by now.
         """
         size, size_before = _size_of(self.before), _size_of(before)
         viewports = frame_terrain.shown_viewports(context.window_manager, context.scene)
@@ -360,7 +366,11 @@ def resume_after_undo() -> None:
 
 @allow_writing
 def _resume_imports() -> None:
-    """Import terrains again that are back, and give back lost stores; a timer calls it once."""
+    """Import terrains again that are back after an undo (`_gone`), and give back lost stores; a timer calls it once.
+
+    `_added` has the stores of terrains that were imported when added, since an undo may clear the property with their
+    path.
+    """
     for obj in session.all_terrains():
         if obj.session_uid in _gone:
             _gone.remove(obj.session_uid)

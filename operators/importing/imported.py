@@ -56,7 +56,7 @@ def imported_of(settings) -> Imported | None:
 
 @functools.lru_cache(maxsize=64)
 def _read_store(folder: str, _changed_ns: int) -> Imported | None:
-    """Read the Imported of a store, None if it is damaged.
+    """Read the Imported of a store, None if it is damaged. Its fields are described in the class.
 
     `_changed_ns`: last change of its JSON, part of the cache's key, so that another import is read anew.
     """
@@ -64,7 +64,8 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         content = stores.read_json(Path(folder))
     except TerrainError:
         return None
-    lattice, report = stores.fit(**content["lattice"]), content["report"]
+    lattice, report = stores.fit(**content["lattice"]), content["report"]  # the lattice of the samples
+    # Size and extent of the raster by the import's report; where it has none, those of the store's samples.
     raster = _pair(report, "raster") or (lattice.width, lattice.height)
     size = lattice.step_x * lattice.cells_x, lattice.step_y * lattice.cells_y
     extent = _pair(report, "extent_m") or size

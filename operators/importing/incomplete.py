@@ -19,6 +19,7 @@ def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
     for obj in terrains:
         job = jobs.find(jobs.IMPORT, obj)
         is_seen = obj.evaluated_get(depsgraph).is_evaluated
+        # loaded_text is "" for a complete store, which a running import only replaces.
         if is_seen and job is not None and job.child is not None and loaded_text(obj.adaptive_terrain):
             try:
                 loader = view_tiles.loader_of(obj)
@@ -32,7 +33,7 @@ def wait_for_imports(terrains: list, depsgraph) -> list[TerrainError]:
 def note_incomplete(scene, terrains: list) -> None:
     """Report in the summary of a render, and on the console, the detail of incomplete terrains that it shows.
 
-    After each frame's update; with a running import the summary does not offer to load the rest.
+    Call it after each frame's update. While an import runs, the summary does not propose to load the rest.
     """
     for obj in terrains:
         text = loaded_text(obj.adaptive_terrain)

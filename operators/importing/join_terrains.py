@@ -50,14 +50,15 @@ class JoinTerrains(ImportOperator, bpy.types.Operator):
     def finish(self, context, obj, result: tuple[dict, str]) -> None:
         """Give the store to the active terrain, and remove the others with their meshes unless other objects use them.
 
-        Children of the others become its own and stay in their place, except scatters.
+        Children of the removed terrains become children of the active one. They stay in their place, except scatters,
+        which get points of the joined terrain.
         """
         ImportOperator.finish(self, context, obj, result)
         for other in [other for other in session.all_terrains() if other.session_uid in self.joined]:
             mesh, scatters = other.data, scatters_of(other)
             for child in other.children:
                 in_world, child.parent = child.matrix_world.copy(), obj
-                if child not in scatters:  # those get points of the joined terrain
+                if child not in scatters:
                     child.matrix_world = in_world  # a new parent would move it
             bpy.data.batch_remove([other, *([mesh] if mesh.users == 1 else [])])
 

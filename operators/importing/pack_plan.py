@@ -52,8 +52,11 @@ class PackPlan:
 
 
 def _copy_land(source: str, target: str, on_progress: OnProgress) -> None:
-    """Copy a shaped store, with the record of the tiles that it was made for. Raises TerrainError."""
-    if not stores.changed_ns(target):  # else another terrain has the same land there
+    """Copy a shaped store, with the record of the tiles that it was made for. Raises TerrainError.
+
+    An existing store in `target` stays: another terrain has the same land.
+    """
+    if not stores.changed_ns(target):  # 0 without a store
         copy_store(source, target, on_progress)
         requested_tiles.note(target, requested_tiles.read_requested(source) or None)
 
@@ -90,6 +93,7 @@ def plan_packing(objects: list) -> PackPlan:
         check_complete(obj, "press Load All, and pack when the import is done")
         folder = real_path(absolute_path(obj.adaptive_terrain.store))
         content = stores.read_json(folder)
+        # By folder of a store: the path of its copy, which no other copy has, and the uids of its terrains.
         if str(folder) not in planned.stores:
             targets = {target for target, _ in planned.stores.values()}
             planned.stores[str(folder)] = _packed_path(obj, folder, content, targets), []
@@ -105,18 +109,19 @@ def _lands_of(obj, target: str) -> dict[str, str]:
     """Return {folder of shaped land that a terrain uses: folder of its copy}.
 
     A terrain has up to two: the land that renders wait for, and the one with only the parts in view fine. {} without a
-    stack that can be applied; land that is missing or damaged is left out. target: new path of the terrain's store.
+    stack that can be applied; land that is missing or damaged is left out. target: new path of the terrain's store;
+    copies of land are in a folder beside it.
     """
     depsgraph = bpy.context.evaluated_depsgraph_get()
     try:
         land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     except TerrainError:
         return {}  # a stack that cannot be applied has no land
-    beside, found = land_beside(absolute_path(target)), {}
+    copies, found = land_beside(absolute_path(target)), {}
     for folder in (land.folder, land.of_views_alone.folder) if land is not None else ():
         with suppress(TerrainError):  # missing or damaged land is shaped again
             stores.open_store(folder)
-            found[folder] = str(beside / Path(folder).name)
+            found[folder] = str(copies / Path(folder).name)
     return found
 
 

@@ -75,7 +75,8 @@ class PackStore(JobOperator, bpy.types.Operator):
     def finish(self, _context, _obj, planned: PackPlan) -> None:
         """Let the terrains and the images of their maps use the copies; with `save_again` save the file.
 
-        It is not saved if the user has changed anything meanwhile.
+        It is not saved if the user has changed anything meanwhile. planned: by original folder, `stores` has the path
+        of a copy and the uids of its terrains; `lands` and `maps` have the folders of copies.
         """
         is_saved = not bpy.data.is_dirty  # saving again then saves nothing but the new paths
         self._show_copied_maps(planned)

@@ -39,9 +39,9 @@ def draw_source(column, obj) -> None:
 
 
 def _draw_more(column, settings) -> None:
-    """Draw the further files; of many the last SHOWN_FILES, below the numbers of all and of the others, at least 2."""
+    """Draw the further files; of many only the last SHOWN_FILES, below a line with the number of files."""
     count = len(settings.more_sources)
-    hidden = count - SHOWN_FILES if count > SHOWN_FILES + 1 else 0  # one file takes the room of its number
+    hidden = count - SHOWN_FILES if count > SHOWN_FILES + 1 else 0  # a single hidden file would fit into that line
     if hidden:
         column.label(text=phrase("{} files, {} not listed", count + 1, hidden))
     for item in settings.more_sources[hidden:]:
@@ -85,7 +85,8 @@ class SourcePanel(TerrainSubpanel):
             column.prop(settings, "holes")
         else:
             column.prop(settings, "island_size")
-        if not several or settings.use_extent:  # an import of several files refuses an extent
+        # An import of several files refuses an extent: it is shown only so that it can be switched off.
+        if not several or settings.use_extent:
             draw_switched(column, settings, "use_extent", "extent")
         _draw_heights(column, settings)
 

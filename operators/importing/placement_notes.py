@@ -21,9 +21,9 @@ MAX_GAP_ERROR = 0.25
 def neighbour_notes(obj, others) -> list[str]:
     """Return notes about other terrains of the same coordinate system: a wrong distance, an open seam between both.
 
-    A terrain may be imported to its object's location, so two neighbouring rasters can have equal locations. Only
-    this wrong distance is noted, and for one other terrain only. A seam is an open cell, or a shared line of samples.
-    others: terrains, `obj` may be among them.
+    An import may leave the object where it is, so two neighbouring rasters can have equal locations. Only this wrong
+    distance is noted, and for one other terrain only. A seam is an open cell, or a shared line of samples. others:
+    terrains, `obj` may be among them.
     """
     notes, has_noted_distance = [], False
     for other in others:
@@ -82,6 +82,7 @@ def _gap(first: Imported, second: Imported, metres: tuple[float, float]) -> floa
         distance = abs(second.origin[axis] - first.origin[axis]) * metres[axis]  # of the rasters' middles
         cell = (first.step_m[axis] + second.step_m[axis]) / 2
         gaps.append((distance - (first.extent_m[axis] + second.extent_m[axis]) / 2) / cell)
+    # Side by side: they overlap along the other axis, where the gap is below 0 by more than rounding.
     return max(gaps) if min(gaps) < -MAX_GAP_ERROR else math.inf
 
 
@@ -94,7 +95,7 @@ def scatter_note(obj, before: Imported | None) -> str:
     now = imported_of(obj.adaptive_terrain)
     if not scatters_of(obj) or before is None or now is None or None in (before.place, now.place):
         return ""
-    corners = [
+    corners = [  # infinite in another coordinate system, so that they differ
         to_crs(raster.place, -np.array([raster.extent_m]) / 2) if raster.crs == now.crs else np.full((1, 2), np.inf)
         for raster in (before, now)
     ]
@@ -126,6 +127,7 @@ def picture_note(imported: Imported | None) -> str:
 def picture_mapping(samples) -> tuple[list[float], list[float]]:
     """Return location and scale along x and y that map the mesh's UV to a picture with the raster's corners.
 
+    UV is 0 and 1 at the outermost samples, and a picture's outermost pixels have their centres half a pixel inside.
     samples: columns and rows of the raster.
     """
     return [0.5 / count for count in samples], [(count - 1) / count for count in samples]

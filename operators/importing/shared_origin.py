@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The place of a terrain in a scene whose origin has coordinates: rasters of one area fit together."""
+"""The place of a terrain in a scene whose origin has coordinates: rasters of one area fit together.
+
+A terrain's anchor is the point of its raster that is the origin of its object: metres east and north of the raster's
+middle. `Imported.place` is the affine map from metres about the middle to the coordinate system.
+"""
 
 import math
 from contextlib import suppress
@@ -33,8 +37,8 @@ SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
     """Return whether an import may move a terrain: it is at its coordinates, or was just added and not moved since.
 
-    A scene without an origin gets that of the terrain as it was imported before. A terrain with a parent is not moved.
-    before: facts of the terrain's last import, None for the first.
+    A terrain with a parent is not moved. A scene without an origin first gets that of the terrain as it was imported
+    before. before: facts of the terrain's last import, None for the first.
     """
     if obj.parent is not None:
         return False
@@ -61,7 +65,7 @@ def keep_anchor_inside(obj, imported: Imported | None) -> None:
 
 
 def origin_shift(obj, before: Imported | None, imported: Imported | None, anchor: tuple[float, float]) -> np.ndarray:
-    """Return how far a new raster moves the origin of a terrain's object: float64 [2], metres of its space before.
+    """Return how far a new raster moves the origin of a terrain's object: float64 [2], metres in its former space.
 
     It is 0 for rasters whose extents do not overlap or that have no common system. before: facts of the earlier raster,
     None without one. imported: of the new one. anchor: of the terrain before.
@@ -83,15 +87,16 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
         return
     if not is_placed:
         basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
-        move_world.shift_location(obj, Vector((basis @ by).tolist()), set())  # no curve is shifted yet
+        shifted: set[int] = set()  # animation curves that are shifted already
+        move_world.shift_location(obj, Vector((basis @ by).tolist()), shifted)
     move_world.keep_children(obj, by)
 
 
 def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
     """Remove an origin that earlier terrains have left, before a new terrain is placed elsewhere; return whether.
 
-    It stays if another add-on has written it, if another object has coordinates (a terrain, its baked mesh), or if it
-    is on the new land, which then fits what else is in the scene.
+    The origin stays if another add-on has written it, if another object has coordinates (a terrain, its baked mesh), or
+    if it is on the new land: the land then fits the other objects of the scene.
     """
     if imported is None or not imported.crs or imported.place is None or not is_claimed(scene):
         return False
@@ -105,7 +110,8 @@ def adopt_system(obj, scene, imported: Imported | None) -> None:
     """Give the scene's origin the system in which a terrain was imported again; its place on Earth stays.
 
     Terrains of other systems move to their coordinates, unless the user has moved them. Nothing changes if another
-    add-on has written the origin, or another object has coordinates in the scene's system.
+    add-on has written the origin (`is_claimed` is False), if another object has coordinates in the scene's system, or
+    if the raster is turned against the axes of its own system (`_is_straight` is False).
     """
     origin = origin_of(scene)
     if imported is None or not imported.crs or imported.place is None or not _is_straight(imported.place):
@@ -150,7 +156,7 @@ def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
         _begin_origin(obj, scene, imported)
         return []
     if imported.crs != origin.crs:
-        return _place_by_middle(obj, origin, imported)
+        return _place_by_anchor(obj, origin, imported)
     (obj.location.x, obj.location.y), angle, (scale_x, scale_y) = _transform_of(obj, origin, imported)
     if abs(angle) > SAME:
         obj.rotation_euler.z = angle
@@ -194,12 +200,15 @@ def _begin_origin(obj, scene, imported: Imported) -> None:
 
 
 def _claim_new_origin(scene, origin: SceneOrigin) -> None:
-    """Give a scene an origin of this add-on, with latitude and longitude if its system can be converted."""
+    """Give a scene an origin of this add-on, with latitude and longitude if its system can be converted.
+
+    `origin.metres`: lengths of a unit of the system's axes; they become exactly 1 if they differ from it by rounding.
+    """
     lengths = [1.0 if abs(metres - 1.0) < SAME else metres for metres in origin.metres]
     try:
         longitude, latitude = reproject_point(origin.x, origin.y, origin.crs, WGS84)
     except TerrainError:
-        set_origin(scene, origin._replace(metres=tuple(lengths)), None)
+        set_origin(scene, origin._replace(metres=tuple(lengths)), latitude_longitude=None)
     else:
         set_origin(scene, origin._replace(metres=tuple(lengths)), (latitude, longitude))
     claim_origin(scene)
@@ -211,9 +220,10 @@ def _is_straight(place: Place) -> bool:
 
 
 def _location_of(obj, origin: SceneOrigin | None, imported: Imported) -> list[float] | None:
-    """Return x and y of a terrain's object in a scene, metres: in another system those of its origin alone.
+    """Return x and y in a scene, metres, of a terrain's object at its coordinates.
 
-    None if the terrain or the scene has no coordinates. Raises TerrainError if a point cannot be converted.
+    With a system other than the scene's, only the object's origin (the anchor) is converted, without a rotation. None
+    if the terrain or the scene has no coordinates. Raises TerrainError if a point cannot be converted.
     """
     if origin is None or not imported.crs or imported.place is None:
         return None
@@ -224,7 +234,7 @@ def _location_of(obj, origin: SceneOrigin | None, imported: Imported) -> list[fl
     return from_crs(origin.place, np.array([there]))[0].tolist()
 
 
-def _place_by_middle(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
+def _place_by_anchor(obj, origin: SceneOrigin, imported: Imported) -> list[str]:
     """Place a terrain of another coordinate system by the point of it that is its object's origin; return a note.
 
     It stays where it is if that point cannot be converted.

@@ -70,7 +70,7 @@ def begin_import(obj, frames: Sequence[int], stores: Path) -> int:
     report = import_source(settings_of(obj), store_path(obj), part=ImportPart(BEGIN))
     file = _record_of(obj, stores)
     try:
-        with open_folder(file.parent, make=True):
+        with open_folder(file.parent, make=True):  # makes it
             pass
         with written_beside(file) as partial:
             partial.write_text(json.dumps(_state(obj, frames) | {TILES: report.get(TILES, 0)}), encoding="utf-8")
@@ -82,19 +82,21 @@ def begin_import(obj, frames: Sequence[int], stores: Path) -> int:
 def is_begun(obj, stores: Path | None, frames: Sequence[int] | None = None) -> bool:
     """Return whether a job has begun to import all samples of a terrain without a complete store.
 
-    frames: those that the job has begun it for, with the .blend file as it is now; None for any.
+    The record must be of the present quick import. frames: it must also be of these frames, and of the .blend file as
+    it is now; None for any. stores: the folder of the job's stores, None outside a job: False.
     """
     found = {} if stores is None else _read_record(obj, stores)
     wanted = _state(obj, frames or ())
-    names = wanted if frames is not None else ("picture",)  # its digest
+    names = wanted if frames is not None else ("picture",)  # values that must be equal; picture: of the quick import
     return bool(found) and all(found.get(name) == wanted[name] for name in names)
 
 
 def import_part(obj, stores: Path, step: str, share: tuple[int, int], on_progress: Callable[[float], None]) -> str:
     """Do a step of an import that `begin_import` has begun, and return a text about it; "" for none.
 
-    step: one of PARTS of tile_import.py. share: its number from 1 and the number of shares, of a step of TILED_PARTS.
-    Several computers may do different shares at the same time. Raises TerrainError.
+    step: the part of the import to do, such as reading tiles. share: for a step by tiles (TILED_PARTS), the number of
+    this share, from 1, and the number of shares; several computers may do different shares at the same time. Other
+    steps are done whole. stores: folder of the job's stores. Raises TerrainError.
     """
     if not is_begun(obj, stores):
         return ""
@@ -113,7 +115,9 @@ def forget_import(obj, stores: Path | None) -> None:
 
 
 def _state(obj, frames: Sequence[int]) -> dict:
-    """Return the first picture, "" without one, the frames and the file for which an import is begun, as JSON."""
+    """Return what an import is begun for, as JSON: the digest of the quick import ("" without one), the frames, and the
+    time of the last change of the .blend file.
+    """
     store = Path(store_path(obj))
     picture = read_json(first_picture(store))["digest"] if os.path.exists(store / JSON_NAME) else ""
     changed = os.stat(bpy.data.filepath).st_mtime_ns if bpy.data.filepath else 0
@@ -126,7 +130,7 @@ def _record_of(obj, stores: Path) -> Path:
 
 
 def _read_record(obj, stores: Path) -> dict:
-    """Return the record of a terrain; {} for none, and for a damaged one."""
+    """Return the record of a terrain; {} for none, and for a damaged one. stores: folder of the job's stores."""
     try:
         found = json.loads(read_regular(_record_of(obj, stores), MAX_BYTES, links=False))
         return found if type(found[TILES]) is int and found[TILES] >= 0 else {}

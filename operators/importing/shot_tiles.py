@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tiles that the frames of a shot see, for terrains whose store is incomplete: found, read ahead and loaded.
 
-A farm's job does so in steps, of which the second runs on several computers. They load tiles into a copy of the first
-picture in the job's folder, the job's store, so that neither the artist's work nor another job changes it meanwhile.
+The first picture of a terrain is the store of its quick import, which has every n-th sample of a large source. Parts of
+the raster, its tiles, can then be loaded in more detail; where a mosaic has finer files, these are loaded in parts
+called squares. A SeenLand is the views of one frame with the error that they allow.
+
+A farm's job finds tiles (`plan_tiles`), reads them into files on several computers (`read_tiles`), and loads these
+(`load_tiles`) into a copy of the first picture in the job's folder, the job's store, so that neither the artist's work
+nor another job changes it meanwhile.
 """
 
 import json
@@ -90,11 +95,12 @@ def job_store(obj, stores: Path) -> Path:
 def find_tiles(obj, frames: Sequence[int], stores: Path | None) -> tuple[Path, list[SeenLand], frozenset[int]]:
     """Return the store into which tiles are loaded, the SeenLand of each frame, and all tiles that they need.
 
-    stores: the folder of the job's stores, in which that store is made; None for the terrain's own store. Raises
-    TerrainError.
+    A terrain that renders do not show needs none. stores: the folder of the job's stores, in which that store is made;
+    None for the terrain's own store. Raises TerrainError.
     """
     scene_store = Path(store_path(obj))
     store = scene_store if stores is None else _copied(first_picture(scene_store), job_store(obj, stores))
+    # about_middle: the origin of the terrain's space is the raster's middle, as `seen_land` expects.
     requests = visit_requests(obj, bpy.context.scene, frames, about_middle=True)
     lands = [seen_land(request) for request in requests if not obj.hide_render]
     return store, lands, needed_tiles(store, lands)
@@ -108,13 +114,13 @@ def _lacking(store: Path, tiles: frozenset[int]) -> tuple[int, ...]:
 def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
     """Write the tiles that frames need and the store lacks, for `read_tiles`; return a text about them.
 
-    Return "" if a job's frames need all samples: nearly all tiles, or more detail than the neediest tile has, which is
-    loaded to find that out. stores: the folder of the job's stores, None for the terrain's own store. Raises
-    TerrainError, also if the store is not of the terrain's sources and settings.
+    Return "" if a job's frames need all samples: nearly all tiles, or more detail than tiles have. The tile that lacks
+    most of the needed detail is loaded to find that out. stores: the folder of the job's stores, None for the terrain's
+    own store. Raises TerrainError, also if the store is not of the terrain's sources and settings.
     """
-    if is_begun(obj, stores, frames):
+    if is_begun(obj, stores, frames):  # an earlier run of the job found this out: it imports all samples
         return ALL_SAMPLES
-    forget_import(obj, stores)
+    forget_import(obj, stores)  # a record for other frames or another first picture
     store, lands, needed = find_tiles(obj, frames, stores)
     tiles = _lacking(store, needed)
     if not tiles:
@@ -130,18 +136,21 @@ def plan_tiles(obj, frames: Sequence[int], stores: Path | None) -> str:
 
 
 def _needs_nearly_all(store: Path, tiles: Sequence[int], stores: Path | None) -> bool:
-    """Return whether to import all samples instead of tiles: these are nearly all, and no coarser than the source.
+    """Return whether a job imports all samples instead of tiles, because these are nearly all samples of the source.
 
-    Several computers then share all of that work, and not only the reading of tiles. stores: a job's, or None.
+    Several computers then share all of that work, and not only the reading of tiles. The tiles of a very large source
+    leave out samples; such tiles are loaded. stores: the folder of the job's stores; None outside a job: False.
     """
     picture = open_store(first_picture(store))
     return stores is not None and are_all_samples(picture) and len(tiles) >= NEARLY_ALL * picture_tiles(picture)
 
 
 def _load_neediest(obj, store: Path, lands: Sequence[SeenLand], tiles: Sequence[int]) -> bool:
-    """Load the tile that lacks most of the detail that lands need; return whether it then has it. Raises TerrainError.
+    """Load the tile that lacks most of the detail that views need; return whether it then has all of that.
 
-    The other tiles would be loaded for nothing if it has not. If the store has tiles already, these count instead.
+    If it still lacks some, the other tiles would be loaded for nothing. If the store has loaded tiles already, no tile
+    is loaded, and those are judged. lands: views of each frame. tiles: those that they need and the store lacks. Raises
+    TerrainError.
     """
     if not loaded_tiles(read_json(store)["provenance"]):
         import_source(_settings_with(obj, store, (neediest_tile(store, lands, tiles),)), store)
@@ -151,7 +160,8 @@ def _load_neediest(obj, store: Path, lands: Sequence[SeenLand], tiles: Sequence[
 def _copied(picture: Path, store: Path) -> Path:
     """Return the job's store after making it from a first picture, unless it was made from the same before.
 
-    picture: the store of a quick import, which has coarse heights only.
+    picture: the store of a quick import, which has coarse heights only. Once tiles are loaded, `store` has a copy of
+    the one that it was made from (`first_picture`).
     """
     if (store / JSON_NAME).exists() and read_json(first_picture(store))["digest"] != read_json(picture)["digest"]:
         discard_store(store)
@@ -173,7 +183,7 @@ def _write_wanted(store: Path, tiles: Sequence[int]) -> None:
     """Write the numbers of tiles into a file of the store. Raises TerrainError."""
     file = store / AHEAD / WANTED
     try:
-        with open_folder(file.parent, make=True):
+        with open_folder(file.parent, make=True):  # makes it
             pass
         with written_beside(file) as partial:
             partial.write_text(json.dumps(list(tiles)), encoding="utf-8")
@@ -202,18 +212,19 @@ def read_tiles(obj, store: Path, part: tuple[int, int], on_progress: Callable[[f
 def load_tiles(obj, frames: Sequence[int], stores: Path | None, on_progress: Callable[[float], None]) -> str:
     """Load the tiles that frames need; return a text about the store, or "" if the frames need all samples.
 
-    The text counts all tiles that the frames need, also those that `plan_tiles` or an earlier call has loaded.
-    stores: the folder of the job's stores, None for the terrain's own store. A job's store is removed if the frames
-    need all samples. Raises TerrainError.
+    Squares with finer files follow the tiles, since only loaded tiles show where they are needed. The text counts all
+    tiles that the frames need, also those that `plan_tiles` or an earlier call has loaded. stores: the folder of the
+    job's stores, None for the terrain's own store. A job's store is removed if the frames need all samples. Raises
+    TerrainError.
     """
     store, lands, needed = find_tiles(obj, frames, stores)
     tiles = _lacking(store, needed)
-    if _needs_nearly_all(store, tiles, stores):
+    if _needs_nearly_all(store, tiles, stores):  # only in a job
         discard_store(store)
         return ""
     if tiles:
         import_source(_settings_with(obj, store, tiles), store, lambda done, _text: on_progress(done))
-    remove_ahead(store)
+    remove_ahead(store)  # the files of `read_tiles`, which are no longer needed
     if squares := missing_squares(store, lands):
         import_source(_settings_with(obj, store, (), squares), store, lambda done, _text: on_progress(done))
     if is_fine_enough(store, lands):

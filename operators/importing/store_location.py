@@ -2,7 +2,7 @@
 """Where stores are written: beside a saved .blend file, else in a data folder that survives an uninstall.
 
 Blender deletes an extension's user folder with the extension. Up to version 0.2.0 stores of unsaved files were there;
-store_paths.py moves them.
+they are moved out of it when Blender starts.
 """
 
 import os
@@ -91,7 +91,7 @@ def baked_folder(obj) -> str:
     """Return the path for the baked land of a terrain: that of its store and "_baked". It may exist.
 
     Other files may use a store in a data folder: the path is then beside the .blend file (beginning with "//"), or in
-    the data folder if nothing can be written there. Raises NotOursError as `folder_beside`.
+    the data folder if nothing can be written there. Raises NotOursError if that file's folder of stores is a link.
     """
     store = obj.adaptive_terrain.store.rstrip("/\\")
     if is_shared(store):

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tiles in view: during a large import those that views need are loaded, and renders wait for those that they see."""
+"""Tiles in view: during a large import those that views need are loaded, and renders wait for those that they see.
+
+Until a large import is complete, its store has every n-th sample. Parts of the raster, its tiles, are loaded in more
+detail. Where a mosaic has finer files, these are loaded afterwards, in parts called squares.
+"""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -92,7 +96,7 @@ class TileLoader:
             return not self._has_failed
         if obj is None or self._has_failed or jobs.is_rendering():
             return False
-        shown = session.record_of(obj).live_key
+        shown = session.record_of(obj).live_key  # changes with the viewports' views
         if shown != self._shown:
             self._shown, self._since = shown, time.monotonic()
         elif shown != self._served and time.monotonic() - self._since >= REST_S:
@@ -171,7 +175,7 @@ def _seen_by(obj, depsgraph, mode: str) -> "SeenLand":
 def seen_land(found: request.Request) -> "SeenLand":
     """Return the views of a terrain, and what else determines the tiles that they need.
 
-    found: the request of an update, about the raster's middle. An error of 0 pixels counts as 1.
+    found: the request of an update, in whose space the raster's middle is the origin. An error of 0 pixels counts as 1.
     """
     from ...cbt_terrain.importing.view_needs import SeenLand
 
@@ -190,11 +194,12 @@ def loaded_here(context, obj) -> str:
     imported = imported_of(obj.adaptive_terrain)
     if imported is None or imported.loaded_m is None:
         return ""
-    text = phrase("Loaded to {}", length_text(imported.loaded_m[0]))
-    if imported.refined_m is None:
+    text = phrase("Loaded to {}", length_text(imported.loaded_m[0]))  # metres between the samples of the whole store
+    if imported.refined_m is None:  # no tiles are loaded
         return text
     try:
-        step = loaded_at(session.open_field(absolute_path(obj.adaptive_terrain.store)), *_target_of(context, obj))
+        target = _target_of(context, obj)  # the ground in the middle of the view: metres from the raster's middle
+        step = loaded_at(session.open_field(absolute_path(obj.adaptive_terrain.store)), *target)
     except (TerrainError, np.linalg.LinAlgError):
         return text
     # None: the complete store has taken its place by now.
@@ -220,7 +225,7 @@ def _target_of(context, obj) -> tuple[float, float]:
     eye, ahead = from_camera[:3, 3], -from_camera[:3, 2]
     west, south, east, north = lattice.rectangle()
     diagonal = np.hypot(east - west, north - south) / np.linalg.norm(ahead)  # in lengths of `ahead`
-    points = eye + ahead * (RAY_DISTANCES * diagonal)[:, None]
+    points = eye + ahead * (RAY_DISTANCES * diagonal)[:, None]  # along the ray; the first one below the ground counts
     points = points[((points[:, :2] >= (west, south)) & (points[:, :2] <= (east, north))).all(axis=1)]
     columns = np.rint((points[:, 0] - west) / lattice.step_x).astype(np.int64)
     rows = np.rint((points[:, 1] - south) / lattice.step_y).astype(np.int64)

@@ -37,7 +37,7 @@ class GroundOperator(KernelOperator):
         depsgraph, found = context.evaluated_depsgraph_get(), import_kernels(self.modules)
         for obj in session.terrains_of(context.scene):
             if obj.adaptive_terrain.store:
-                # ANY: a criterion that needs no camera; the surface does not depend on triangles.
+                # ANY: a criterion that needs no camera; the surface does not depend on triangles. No attributes either.
                 request = gather(obj, depsgraph, criterion=world_ground.ANY, overrides=Overrides(effects=()))
                 found += kernels_for(request)
         return found

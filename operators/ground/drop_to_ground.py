@@ -79,7 +79,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
                 left[obj] = error
                 continue
             if obj.adaptive_terrain_keep.keep:
-                keep_ground.let_go(obj)
+                keep_ground.let_go(obj)  # the drop starts where its channels put it; kept again if that fails
                 keeping.append(obj)
             objects.append(obj)
         depsgraph.update()
@@ -90,9 +90,10 @@ class DropToGround(GroundOperator, bpy.types.Operator):
                 left[obj] = error
                 obj.adaptive_terrain_keep.keep = obj in keeping
         depsgraph.update()
+        # Objects that a constraint has kept from reaching the ground.
         left |= self._find_held([obj for obj in objects if obj not in left], ground, depsgraph)
         if self.keep or keeping:
-            keep_ground.settle_now(context.scene, depsgraph)
+            keep_ground.settle_now(context.scene, depsgraph)  # places all kept objects at the present frame
         for error in left.values():
             self.report({"WARNING"}, str(error))
         done = [obj for obj in objects if obj not in left]
@@ -129,6 +130,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
             drop_points(obj, evaluated.matrix_world, ground, self.offset)
             return
         corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
+        # In the world: `height` of the origin on the ground, `ground` at the origin, and the rotation `turn` to there.
         pose = rest_pose(evaluated, corners, ground, self.align)
         if pose is None:
             raise TerrainError(f"{name} has no ground above or below it", fix="move it over the terrain")
@@ -140,7 +142,7 @@ class DropToGround(GroundOperator, bpy.types.Operator):
             settings.terrain, settings.align, settings.how, settings.keep = terrain, self.align, ON, True
             settings.offset = pose.height - pose.ground + self.offset  # of the origin from the ground below it
             return
-        frame = moves.channels_to_world(evaluated)
+        frame = moves.channels_to_world(evaluated)  # 3 x 3 matrix from the location channels to the world
         if self.align:
             location, rotation, scale = obj.matrix_basis.decompose()
             obj.matrix_basis = Matrix.LocRotScale(location, moves.channel_turn(frame, pose.turn) @ rotation, scale)
@@ -159,7 +161,8 @@ class DropToGround(GroundOperator, bpy.types.Operator):
                 corners = corners_of(obj, depsgraph) if self.anchor == BOUNDS else None
                 pose = rest_pose(evaluated, corners, ground, align=False)
                 z = evaluated.matrix_world.translation.z
-                if pose is None or abs(pose.height + self.offset - z) > 1e-3 + moves.rounding(evaluated, z):
+                tolerance = 1e-3 + moves.rounding(evaluated, z)  # metres
+                if pose is None or abs(pose.height + self.offset - z) > tolerance:
                     what = f"The object {obj.name!r} does not reach the ground, because a constraint holds it"
                     held[obj] = TerrainError(what, fix="mute the constraint")
         return held

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Objects that stay on or above the ground in every frame.
+"""Kept objects: those that stay on or above the ground in every frame.
 
 `release` sets their delta transforms to 0 before a frame is evaluated, which puts each where its animation, parents and
 constraints place it. `settle` then moves each to the ground by its deltas and evaluates the frame again, before any
@@ -79,7 +79,8 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
 
     Args:
         mode: VIEWPORT or RENDER.
-        waits: whether missing ground is computed; otherwise its objects stay where they are.
+        waits: whether missing ground, such as land that is not shaped yet, is computed; otherwise the objects on it
+            stay where they are.
         frame_changes: the frame was just set. Animated channels are then evaluated again, since the dependency
             graph of a render forgets animated values of written objects.
     """
@@ -93,7 +94,7 @@ def settle(scene, depsgraph, mode: str, *, waits: bool, frame_changes: bool) -> 
         release(scene)
         _evaluate(objects, depsgraph, frame_changes)
         _move_all(objects, grounds, depsgraph, frame_changes)
-    if mode == VIEWPORT:
+    if mode == VIEWPORT:  # so that nothing moves again until something changes
         _settled[scene.session_uid] = _state_key(objects, grounds, depsgraph)
     return [_notes[obj.session_uid] for obj in objects if obj.session_uid in _notes]
 
@@ -106,7 +107,8 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
     for obj in objects:
         _notes.pop(obj.session_uid, None)
     everyone = set(objects)
-    # moved: metres of each move of an object so far.
+    # By object: leaders are those that it follows; moved has the metres of its moves so far; needed has the metres to
+    # rise and the normal, if it is not in place. todo: objects that may move again.
     leaders, moved, todo = {obj: _leaders(obj) & everyone for obj in objects}, {}, objects
     while needed := _find_moves(todo, grounds, depsgraph, moved):
         # A constraint holds an object if the distance left is more than half of its first move.
@@ -120,7 +122,7 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
             moved.setdefault(obj, []).append(needed[obj][0])
         todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MAX_MOVES]
         _evaluate([*now, *held], depsgraph, frame_changes)
-        if not now:
+        if not now:  # the objects that are not in place follow each other
             break
 
 
@@ -176,7 +178,8 @@ def _is_aligned(obj) -> bool:
 def _rise_of(obj, evaluated, height: float) -> float:
     """Return the metres by which an object must rise; 0 if it is in place or has no ground.
 
-    height: the ground's height below or above it, metres in the world; NaN without ground.
+    evaluated: the object as the dependency graph evaluated it. height: the ground's height below or above it, metres in
+    the world; NaN without ground.
     """
     settings, z = obj.adaptive_terrain_keep, _origin_of(evaluated).z
     if settings.how == ON:
@@ -201,7 +204,7 @@ def _apply_move(obj, depsgraph, rise: float, normal) -> None:
         turn = moves.channel_turn(frame, moves.turn_to(evaluated, normal))
         if obj.rotation_mode == "QUATERNION":
             obj.delta_rotation_quaternion = turn
-        elif obj.rotation_mode != "AXIS_ANGLE":
+        elif obj.rotation_mode != "AXIS_ANGLE":  # for which Blender offers no delta rotation
             obj.delta_rotation_euler = turn.to_euler(obj.rotation_mode)
     obj.delta_location = obj.delta_location + moves.channel_rise(frame, rise)
 
@@ -222,7 +225,8 @@ def _leaders(obj) -> set:
 def settle_now(scene, depsgraph, waits: bool = True) -> list[str]:
     """Place a scene's kept objects on the ground in the viewport at the present frame.
 
-    waits: whether missing ground is computed. Returns why some objects are not moved. Raises TerrainError.
+    waits: whether missing ground, such as land that is not shaped yet, is computed. Returns why some objects are not
+    moved. Raises TerrainError.
     """
     release(scene)
     depsgraph.update()
@@ -248,7 +252,7 @@ def settle_shown(scene, depsgraph) -> bool:
 
 
 def _state_key(objects: list, grounds: list, depsgraph) -> tuple:
-    """Return a key that changes when a kept object, its settings or the ground change."""
+    """Return a key that changes when one of the kept `objects`, its settings or a WorldGround of `grounds` changes."""
     keys = []
     for obj in objects:
         settings = obj.adaptive_terrain_keep

@@ -38,8 +38,9 @@ class KnownPoint:
 def find_point(grounds: Sequence[WorldGround], given: Coordinates, system: str) -> KnownPoint:
     """Return the ground at coordinates: of several terrains there, the highest in the world.
 
-    given: the two numbers that the user has entered. system: AUTOMATIC, OF_TERRAIN or OF_EARTH. Raises TerrainError
-    without a terrain that has a coordinate system, for coordinates outside, in holes, or that PROJ cannot convert.
+    grounds: the terrains to search. given: the two numbers that the user has entered. system: their meaning, AUTOMATIC,
+    OF_TERRAIN or OF_EARTH. Raises TerrainError without a terrain that has a coordinate system, for coordinates outside,
+    in holes, or that PROJ cannot convert.
     """
     located = [ground for ground in grounds if ground.field.crs and ground.field.raster.known_place is not None]
     if not located:
@@ -68,7 +69,13 @@ def find_point(grounds: Sequence[WorldGround], given: Coordinates, system: str) 
 
 
 def _local_position(ground: WorldGround, given: Coordinates, system: str) -> np.ndarray:
-    """Return the position of coordinates in a terrain's space, float64 [2] metres. Raises TerrainError."""
+    """Return the position of coordinates in a terrain's space, float64 [2] metres. Raises TerrainError.
+
+    given: the two numbers and their order, if one was entered with them. system: their meaning, AUTOMATIC, OF_TERRAIN
+    or OF_EARTH (WGS 84). Degrees of WGS 84 are converted to the terrain's system, unless that is in degrees itself and
+    `system` does not require WGS 84.
+    """
+    # place: (a, b, c, d, e, f) maps (u, v) of the terrain's space to x = a u + b v + c, y = d u + e v + f of its system
     place, crs = ground.field.raster.known_place, ground.field.crs
     in_degrees = is_in_degrees(place)
     if not (in_degrees or _is_of_earth(given, system)):
@@ -98,7 +105,10 @@ def reprojected(longitude: float, latitude: float, crs: str) -> tuple[float, flo
 
 
 def _is_of_earth(given: Coordinates, system: str) -> bool:
-    """Return whether coordinates are latitude and longitude."""
+    """Return whether coordinates are latitude and longitude: by `system`, or if AUTOMATIC by their form and size.
+
+    given.is_degrees: the text has a degree sign, or names such as "lat".
+    """
     if system != AUTOMATIC:
         return system == OF_EARTH
     can_be = abs(given.first) <= 90.0 and abs(given.second) <= 180.0
@@ -125,7 +135,11 @@ def _distance(ground: WorldGround, local: np.ndarray) -> float:
 
 
 def _outside(ground: WorldGround, local: np.ndarray, given: Coordinates, system: str) -> TerrainError:
-    """Return the error for coordinates where the nearest terrain has no ground. local: position in its space."""
+    """Return the error for coordinates where the nearest terrain has no ground.
+
+    local: their position in its space. given, system: numbers and their meaning; if these numbers exchanged are on the
+    terrain, the error proposes that.
+    """
     where = coordinates_text(ground.field.raster.known_place, ground.field.crs, local)
     distance = _distance(ground, local)
     if distance == 0.0:

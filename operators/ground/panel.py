@@ -16,7 +16,7 @@ from .properties import ON
 
 
 class GroundPanel:
-    """Operators on the ground, the settings of a kept object, and a terrain's collider."""
+    """Operators on the ground, the settings of an object that is kept on it, and a terrain's collider."""
 
     bl_idname = "ADAPTIVE_TERRAIN_PT_on_ground"
     bl_label = "Ground"
@@ -85,4 +85,5 @@ def _cursor_text(context) -> str:
     if imported is None or terrain.matrix_world.determinant() == 0.0:
         return ""
     position = terrain.matrix_world.inverted() @ context.scene.cursor.location
+    # anchor_of: the object's origin, in metres from the raster's middle, where `place` has its origin
     return coordinates_text(imported.place, imported.crs, np.array(position[:2]) + anchor_of(terrain))

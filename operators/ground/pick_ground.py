@@ -60,7 +60,7 @@ class PickGround(GroundOperator, bpy.types.Operator):
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}  # lets the user turn the view
         ray = _ray_under(context, event)
-        self.cancel(context)
+        self.cancel(context)  # restores the mouse pointer and the status bar
         if ray is None:
             self.report({"ERROR"}, "The click was not in a 3D viewport.")
             return {"CANCELLED"}

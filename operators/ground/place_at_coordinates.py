@@ -60,7 +60,9 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
     def execute(self, context):
         """Move the selected objects or the 3D cursor to the coordinates, and report where that is."""
         if self.options.is_invoke and not self.is_chosen and not self._has_kernels(context):
-            invoke_with_file(self, context)  # waits for the kernels, which a dialog cannot
+            # Runs this operator anew with `is_chosen` and these properties: `invoke` then waits for the kernels, which
+            # a dialog cannot.
+            invoke_with_file(self, context)
             return {"CANCELLED"}
         given, depsgraph = parse_coordinates(self.coordinates), context.evaluated_depsgraph_get()
         point = find_point(chosen_grounds(context, depsgraph), given, self.system)
@@ -107,7 +109,7 @@ def _move_together(context, objects: list, point: np.ndarray, depsgraph) -> floa
     depsgraph.update()
     evaluated = anchor.evaluated_get(depsgraph)
     missed = length(np.array(evaluated.matrix_world.translation, np.float64) - point)
-    tolerance = 1e-3 + moves.rounding(evaluated, float(np.abs(point).max()))
+    tolerance = 1e-3 + moves.rounding(evaluated, float(np.abs(point).max()))  # metres
     if any(obj.adaptive_terrain_keep.keep for obj in movable):
         keep_ground.settle_now(context.scene, depsgraph)
     return float(missed) if missed > tolerance else 0.0

@@ -53,7 +53,7 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
     def execute(self, context):
         """Create a curve on the ground for the chosen curve, and write the files if they are named."""
         depsgraph = context.evaluated_depsgraph_get()
-        for curve in _chosen_curves(context):  # one at most
+        for curve in _chosen_curves(context):  # exactly one, since `poll` requires it
             lines = lines_of(curve, depsgraph)
             _, ground = terrain_at(context, np.concatenate(lines), f"the curve {curve.name!r}", depsgraph)
             found = [along_line(ground, line, self.spacing or None) for line in lines]
@@ -73,8 +73,9 @@ class ProfileCurve(GroundOperator, bpy.types.Operator):
     def _write(self, name: str, found, ground) -> list[str]:
         """Write the table and the picture of a profile; return the file names.
 
-        found: results of `along_line`, one for each spline; several splines get numbered files. ground: WorldGround of
-        its terrain. Raises TerrainError for a path without a name or a file that cannot be written.
+        name: title of the picture. found: for each spline the distances along it, float64 [n], and the points on the
+        ground, [n, 3], metres; several splines get numbered files. ground: WorldGround of its terrain. Raises
+        TerrainError for a path without a name or a file that cannot be written.
         """
         base = Path(absolute_path(self.filepath))
         base = base.with_suffix("") if base.suffix.lower() in SUFFIXES else base
@@ -132,7 +133,8 @@ def _chains(pairs) -> list[list[int]]:
     pairs: vertices of each edge. A spline's vertices are consecutive, and a cyclic one has an edge between its ends.
     """
     lines = []
-    # By the first vertex; the edge between the ends comes after the edge to the next vertex.
+    # Sorted by the lower vertex. Of two edges with the same one, that to the next vertex comes before the closing edge
+    # of a cyclic spline, which neither branch takes.
     for a, b in sorted(pairs, key=lambda pair: (min(pair), max(pair) - min(pair) != 1)):
         low, high = min(a, b), max(a, b)
         if lines and lines[-1][-1] == low:

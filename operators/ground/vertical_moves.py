@@ -18,7 +18,9 @@ def channels_to_world(evaluated) -> Matrix:
     It includes constraints that carry an object (Follow Path, Child Of). Raises TerrainError if it is singular.
     """
     acting, world = [c.type for c in evaluated.constraints if not c.mute], evaluated.matrix_world
-    if acting and STAY.issuperset(acting):  # they only turn it: the frame is the parent's, without their rotations
+    # The matrix to the world without the object's own channels (matrix_basis). Constraints that only turn the object
+    # are in matrix_world and matrix_local: they cancel, and the parent's matrix remains.
+    if acting and STAY.issuperset(acting):
         frame = world @ evaluated.matrix_local.inverted_safe()
         if evaluated.parent is not None:
             frame = frame @ evaluated.matrix_parent_inverse

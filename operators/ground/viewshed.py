@@ -106,7 +106,7 @@ def _make_image(terrain, seen: np.ndarray):
 
 
 def _add_modifier(terrain, image) -> None:
-    """Add geometry nodes that store the image's value at each vertex of every new mesh, or give those this image."""
+    """Have geometry nodes store the image's value at each vertex of every new mesh; reuse those of an earlier run."""
     modifier = terrain.modifiers.get(NAME) or terrain.modifiers.new(NAME, "NODES")
     group = _find_marked(bpy.data.node_groups, terrain) or _create_group(f"{terrain.name} {NAME}")
     group[MARK] = terrain.name
@@ -121,7 +121,10 @@ def _add_modifier(terrain, image) -> None:
 
 
 def _create_group(name: str):
-    """Create the geometry nodes that store the value of an image at each vertex as the attribute NAME."""
+    """Create the geometry nodes that store the value of an image at each vertex as the attribute NAME.
+
+    `_add_modifier` sets the image, and the factor and the sum that turn UV into a position in it.
+    """
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     for in_out in ("INPUT", "OUTPUT"):
         group.interface.new_socket(name="Geometry", in_out=in_out, socket_type="NodeSocketGeometry")

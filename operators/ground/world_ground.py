@@ -119,7 +119,8 @@ def depends_on_views(scene) -> bool:
 
 def ground_of(obj, depsgraph, mode: str = VIEWPORT) -> WorldGround:
     """Return a terrain as ground, computed if necessary. Raises TerrainError."""
-    # Land that is shaped only in view of the camera needs the views of the scene's own criterion. ANY needs none.
+    # Heights do not depend on a camera, so any criterion that needs none will do (ANY). Land that is shaped only in
+    # view of the camera needs the terrain's own criterion (None). No attributes are computed: effects=().
     criterion = None if mode == RENDER and obj.adaptive_terrain.land.where == SEEN else ANY
     request = gather(obj, depsgraph, mode, criterion=criterion, overrides=Overrides(effects=()))
     with session.engine_lock:

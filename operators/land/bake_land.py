@@ -26,6 +26,7 @@ def shaped_field(obj, depsgraph) -> Callable[[], HeightField]:
     That function shapes the land first, which takes long, if it is not shaped yet. Without a stack it opens the
     imported height field. Both functions raise TerrainError.
     """
+    # waits=True: the land in full detail, not a preview
     store, land = store_path(obj), land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
     return lambda: derived_store.raster_of(store, land, session.open_field, verified=True)
 
@@ -50,7 +51,7 @@ class BakeLand(ShapedLandJob, bpy.types.Operator):
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
         """Copy the shaped land to a new store on a thread; return the land, and the store's path for the settings.
 
-        The new store is beside the old one if `baked_folder` allows that.
+        The new store is beside the old one, or beside the .blend file if the old one may be shared with other files.
         """
         store_path(context.object)  # raises TerrainError before any work
         land = wanted_land(context.object, context.evaluated_depsgraph_get())
@@ -58,7 +59,10 @@ class BakeLand(ShapedLandJob, bpy.types.Operator):
         target = absolute_path(folder)
 
         def copy() -> tuple[Land, str]:
-            """Check the shaped land, which is shaped first if a script has not done that, and copy it."""
+            """Check the shaped land, which is shaped first if a script has not done that, and copy it.
+
+            Both steps call `raise_if_stopped`, so a cancelled job ends in them.
+            """
             with stopping.checking(job.raise_if_stopped):
                 derived_store.field_of_land(land, session.open_field, verified=True)
                 copy_store(land.folder, target, job.progress)
@@ -78,8 +82,8 @@ class BakeLand(ShapedLandJob, bpy.types.Operator):
             return
         settings.store, settings.frozen, settings.land.active = folder, "", 0
         settings.land.entries.clear()
-        derived_store.release(obj.session_uid)
-        imported.tag_object(obj)
+        derived_store.release(obj.session_uid)  # the land before is no longer used, and may be removed
+        imported.tag_object(obj)  # custom properties with the coordinate system of the new store
         obj.update_tag()
         self.report({"INFO"}, f"The land is in {folder}; Clear Land Cache frees what shaping it has left elsewhere")
 

@@ -24,9 +24,10 @@ def stored_land(store: str) -> list[tuple[str, Path, int]]:
     """List the cached land on disk of a store and of the store that it was baked from.
 
     Returns (kind, folder, bytes) each; kind is "shown" (a terrain in this Blender uses it), "not shown now" or
-    "tiles". All of it can be made again. Raises TerrainError for a link.
+    "tiles" (results of single tiles, which later shaping reuses). All of it can be made again. Raises TerrainError for
+    a link.
     """
-    session.all_terrains()  # forgets removed objects
+    session.all_terrains()  # forgets removed objects, whose land is then no longer in use
     found = []
     for source in _sources(store):
         found += [("shown" if is_in_use(f) else "not shown now", f, size) for f, size in shaped_stores(source)]

@@ -11,9 +11,9 @@ PRESETS = "adaptive_terrain/land"  # the folder of stacks among Blender's preset
 def add_entry(land, effect: str):
     """Add an entry at the end of a stack, with a unique name and a seed that no other entry has.
 
-    land: the LandSettings. effect: name of a height operator; one that this version lacks is named by itself.
+    land: the LandSettings. effect: name of a height operator, which is also the entry's name if this version lacks it.
     """
-    label = getattr(operator_of(effect), "label", effect)
+    label = getattr(operator_of(effect), "label", effect)  # operator_of: None for an unknown one
     used, seeds = {entry.name for entry in land.entries}, {entry.seed for entry in land.entries}
     entry = land.entries.add()
     entry.effect, entry.name = effect, free_name(label, used)

@@ -34,7 +34,8 @@ def write_shadow_mask(obj, terrain, extent_m: tuple[float, float], depsgraph, fo
 
     At the outline it is the covered fraction; the first row is in the north. terrain: evaluated object. extent_m: its
     size in metres, from west to east and from south to north. folder: where masks are stored, named for their content.
-    Raises TerrainError if the object's shape in this frame is unknown.
+    Raises TerrainError if the object's shape in this frame is unknown: Blender has not evaluated it, because it is
+    hidden, and it may have changed.
     """
     evaluated, matrix = evaluated_or_still(depsgraph, obj, "mask")
     triangles = plan_triangles(evaluated, matrix, Matrix(terrain.matrix_world).inverted_safe(), "mask")
@@ -67,7 +68,8 @@ def _write_once(folder: Path, digest: str, make) -> str:
 def rasterize_shadow(triangles: np.ndarray, extent_m: tuple[float, float]) -> np.ndarray:
     """Return the fraction of each sample that triangles cover on the plan, float32 [rows, columns], row 0 in the south.
 
-    triangles: float64 [n, 3, 2], metres from the middle of the terrain. The longer side has SHADOW_SIDE samples.
+    triangles: float64 [n, 3, 2], metres from the middle of the terrain. extent_m: its size from west to east and from
+    south to north. The longer side has SHADOW_SIDE samples.
     """
     longer = max(extent_m)
     columns, rows = (max(2, math.ceil(SHADOW_SIDE * length / longer)) for length in extent_m)

@@ -46,7 +46,7 @@ class LandList(bpy.types.UIList):
 
 
 def shaping_time_text(ms: dict[int, float | None], *numbers: int) -> str:
-    """Return the time that entries took together, "Reused" if all their tiles were known before, "-" if unknown.
+    """Return the time that entries took together, "Reused" if all their tiles were cached, "-" if unknown.
 
     ms: milliseconds by the number of the entry, None for a reused one, as in LandState. numbers: entries to add up.
     """
@@ -124,7 +124,7 @@ class LandPanel(TerrainSubpanel):
         buttons.separator()
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_UP").by = -1
         buttons.operator("adaptive_terrain.land_move", text="", icon="TRIA_DOWN").by = 1
-        self._columns().prop(land, "where")
+        self._columns().prop(land, "where")  # full detail on the whole terrain or only in the shot
         _draw_shaping(self.layout.row(align=True), obj, state)
         box = self.layout.box().column(align=True)
         draw_figures(box, status_lines(state), factor=0.3)
@@ -134,7 +134,7 @@ class LandPanel(TerrainSubpanel):
 def _draw_shaping(row, obj, state) -> None:
     """Draw one row: a render's wait for this land, else the button Shape Now, else the progress of shaping.
 
-    state: a LandState. The progress of shaping has buttons that end it.
+    state: a LandState, `wanted` if the button would do anything. The progress of shaping has buttons that end it.
     """
     job, wait = jobs.find(jobs.SHAPE, obj), shaped_land.render_wait_of(obj)
     if wait is not None:
@@ -155,16 +155,20 @@ def _shape_button_text(obj) -> str:
     seconds = shaped_land.seconds_to_shape(obj)
     if seconds is None:
         return "Shape Now"
-    rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"  # no more digits than it is good for
+    rounded = f"{seconds:.1g}" if seconds < 10.0 else f"{5 * round(seconds / 5)}"  # it is only an estimate
     return phrase("Shape Now (about {} s)", rounded)
 
 
 def status_lines(state) -> list[tuple[str, str]]:
-    """Return three (name, value) lines about a LandState: always three, so that no row moves."""
+    """Return three (name, value) lines about a LandState: always three, so that no row moves.
+
+    Values: the shown data with the metres between samples, the number of built tiles, and the time of all entries.
+    """
     tiles = phrase("{} of {}", *(f"{number:,}" for number in state.tiles)) if state.tiles else "-"
     shown = phrase(state.shown)
     shown = phrase("{}, {} apart", shown, length_text(state.step_m)) if state.step_m else shown
-    return [("Shown", shown), ("Tiles", tiles), ("Time", shaping_time_text(state.ms, *state.ms))]
+    all_entries = state.ms.keys()
+    return [("Shown", shown), ("Tiles", tiles), ("Time", shaping_time_text(state.ms, *all_entries))]
 
 
 class LandEffectPanel(TerrainSubpanel):
@@ -242,7 +246,10 @@ class LandLayersPanel(TerrainSubpanel):
 
 
 def _readers_text(status) -> str:
-    """Return how many readers a layer has; the panel *Attributes* names them."""
+    """Return how many readers a layer has; the panel *Attributes* names them.
+
+    status: of the layer's attribute in the last update, None if it was not part of one.
+    """
     if status is None:
         return "No update yet"
     count = len(status.readers)

@@ -93,7 +93,10 @@ class AddLandPreset(TerrainOperator, AddPresetBase, bpy.types.Operator):
 
     @cancelled_by_errors
     def execute(self, context):
-        """Save the list as a preset, or delete one if `remove_name` is set; Blender's operator writes no JSON files."""
+        """Save the list as a preset, or delete one if `remove_name` is set.
+
+        It replaces `AddPresetBase.execute`, which would write Python instead of JSON.
+        """
         name = self.as_filename(self.name)
         if not name:
             return {"FINISHED"}

@@ -60,10 +60,10 @@ class LandWait:
     @property
     def brief(self) -> str:
         """Return the fraction done and the estimated seconds left, for a narrow panel."""
-        rest = 1.0 - self.fraction
-        seconds = rest * self.estimate
+        remaining = 1.0 - self.fraction
+        seconds = remaining * self.estimate
         if self.fraction >= MEASURED:  # the smaller of both: coarse levels come first and are slower than planned
-            seconds = min(seconds, rest * (time.monotonic() - self.started) / self.fraction)
+            seconds = min(seconds, remaining * (time.monotonic() - self.started) / self.fraction)
         done = f"{self.fraction:.0%}"
         return phrase("{}, about {} s left", done, f"{seconds:.0f}") if seconds < math.inf else done
 
@@ -83,7 +83,7 @@ _is_cancelled = False  # by Esc, until the render ends
 
 
 def _on_shaping(land: Land, fraction: float, message: str) -> None:
-    """Update `waiting` by the progress of shaping, and print it in the background; on any thread.
+    """Set `waiting` to the progress of shaping, and print it if Blender has no window; on any thread.
 
     The engine calls it while an update shapes land itself, as a render's does. fraction: done, 1 at the end. message:
     the present step. Raises TerrainError, which ends the shaping, once the user has pressed Esc.
@@ -200,7 +200,7 @@ def _draw_over_render() -> None:
 
 
 def start() -> None:
-    """Follow all shaping by `_on_shaping`, and in a window draw a render's wait over the image editor."""
+    """Have the engine report all shaping to `_on_shaping`, and in a window draw a render's wait over image editors."""
     global _handle
     derived_store.on_shaping = _on_shaping
     if not bpy.app.background:

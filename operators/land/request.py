@@ -23,16 +23,17 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
     """
     settings = evaluated.adaptive_terrain
     if not settings.store or not any(entry.on for entry in settings.land.entries):
-        derived_store.release(obj.session_uid)
+        derived_store.release(obj.session_uid)  # files of its land are no longer kept for this terrain
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
     source = absolute_path(settings.store)
     folder = folder_beside(source)
-    owned_files.check_folder(folder, MASKS, store_folder.TILES)
+    owned_files.check_folder(folder, MASKS, store_folder.TILES)  # raises if one of these is a link or a user's file
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)
     if not stack.active:
         return None
     land = Land.of(source, stack, waits)
     derived_store.use(obj.session_uid, land)
-    return land.in_shots if settings.land.where == SEEN else land  # `in_shots` is all of it if that costs less
+    # in_shots: fine only in view of the scene's frames, or everywhere if that costs less
+    return land.in_shots if settings.land.where == SEEN else land

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finer land in view while nothing changes: a child process makes the tiles that a preview leaves out.
 
-This refines the land of terrains with Live Update, at a low priority and only for the tiles that their views need, or
-all of the land where that costs less. A change of the land's settings ends it at once; another view gets its tiles when
-it rests in turn. *Shape Now* and renders reuse the result.
+A terrain rests while its `live_key`, the key of the last request of the live update (settings and views), stays the
+same. Once it has rested for REST_S, its land is refined at a low priority, only in the tiles that its views need, or
+everywhere if that costs less. A change of the land's settings ends the job. A moved view does not: the terrain rests
+anew, and the tiles of that view are made after the job. *Shape Now* and renders reuse the result.
 """
 
 import time
@@ -39,7 +40,7 @@ class _Rest:
 
 @dataclass
 class _Making:
-    """The land that is being made for a terrain (`uid`) with the request `key`. `begun`: future of `_create_job`."""
+    """The land that is shaped for a terrain (`uid`) with the request `key`. `begun`: future of `_create_job`."""
 
     uid: int
     key: tuple
@@ -51,7 +52,7 @@ class _Making:
 _rests: dict[int, _Rest] = {}
 _looked = 0.0  # when the terrains were last looked at
 _making: _Making | None = None
-_left: set[str] = set()  # land that the user has stopped, or that failed: not begun again
+_refused: set[str] = set()  # folders of land that the user has stopped, or that failed: not begun again
 _chooser: ThreadPoolExecutor | None = None  # tiles are chosen by all heights: too long for the main thread
 
 
@@ -96,7 +97,9 @@ def turn(shown: Iterable[tuple], idle: bool) -> bool:
             and _has_rested(obj)
             and (land := _land_to_make(obj, depsgraph)) is not None
         ):
-            begun = _start_thread().submit(_create_job, land, obj.adaptive_terrain.land.where == SEEN)
+            tiles_alone = obj.adaptive_terrain.land.where == SEEN  # renders use land that is fine only in view
+            # Choosing the tiles reads all heights, too long for the main thread; the steps wait for this future.
+            begun = _start_thread().submit(_create_job, land, tiles_alone)
             job = jobs.BackgroundJob(jobs.SHAPE, uid, lambda job, begun=begun: _shape_in_steps(job, begun))
             job.message = CHOOSING
             _making = _Making(uid, _rests[uid].key, land, job, begun)
@@ -114,7 +117,7 @@ def stop() -> None:
     """Stop the running job and forget all terrains, because another file is opened or the extension is disabled."""
     give_way()
     _rests.clear()
-    _left.clear()
+    _refused.clear()
 
 
 def _start_thread() -> ThreadPoolExecutor:
@@ -142,20 +145,21 @@ def _has_rested(obj) -> bool:
 def _land_to_make(obj, depsgraph) -> Land | None:
     """Return the land to shape for the views of the last update; None if there is nothing to make.
 
-    That is so without land, if all of it exists, or if it is in `_left`: the user stopped it, or it failed. The
-    terrain's rest is then done. Land that is fine only in view (`of_views`) may lack tiles after it was shaped;
-    `of_views_alone` is the same land in that form.
+    That is so without land, if all of it exists, or if it is in `_refused`: the user stopped it, or it failed. The
+    terrain is then left alone until its request changes (`done`). Land that is fine only in view (`of_views`) may lack
+    tiles after it was shaped; `of_views_alone` is the same land in that form, stored in another folder. The result has
+    that form, and `_create_job` may replace it by the whole.
     """
     request = session.record_of(obj).status.request
     land = _current_land(obj, depsgraph)
-    if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _left:
+    if land is None or land.is_shaped and not land.of_views or land.of_views_alone.folder in _refused:
         _rests[obj.session_uid].done = True
         return None
     return replace(land.of_views_alone, seen=_tiles_in_view(request))
 
 
 def _current_land(obj, depsgraph) -> Land | None:
-    """Return the land by the terrain's present settings, None without one or if they are invalid."""
+    """Return the land that the terrain's present settings describe, None without a stack or if they are invalid."""
     try:
         return land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=False)
     except TerrainError:
@@ -163,7 +167,10 @@ def _current_land(obj, depsgraph) -> Land | None:
 
 
 def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
-    """Return the views of a request as the description of the tiles that shaping needs."""
+    """Return the views and the error of a request, from which shaping derives the tiles that it needs.
+
+    Its `placement` has the raster's middle as the origin, instead of the terrain's anchor (the object's origin).
+    """
     return requested_tiles.SeenTiles(
         tuple(request.views),
         placement=about_middle(request.placement, request.anchor),
@@ -176,7 +183,8 @@ def _tiles_in_view(request: Request) -> requested_tiles.SeenTiles:
 def _create_job(land: Land, tiles_alone: bool) -> tuple[ShapeJob, requested_tiles.Tiles | None, Land] | None:
     """Return a new job, its tiles (None for all) and its land, or None if all tiles exist. Call it on another thread.
 
-    It is slow. The job makes the whole land where that costs less than the tiles, unless renders need `tiles_alone`.
+    It is slow. The job makes the whole land if that costs less than the missing tiles. tiles_alone: never do that,
+    because renders of this terrain use land that is fine only in view (Detail: In the Shot).
     """
     wanted = derived_store.wanted_tiles(land, session.open_field)
     if derived_store.has_tiles(land, wanted, session.open_field):
@@ -198,30 +206,30 @@ def _shape_in_steps(job: jobs.BackgroundJob, begun: Future) -> jobs.Steps:
         return False
     child, wanted, land = begun.result()
     yield from jobs.run_in_child(job, child)
-    derived_store.finish_shaping(land, wanted)
+    derived_store.finish_shaping(land, wanted)  # records which tiles exist now
     return True
 
 
 def _advance_job(terrain: tuple | None) -> bool:
     """Advance the running job, or end it if its terrain changed; return whether it has ended and made land.
 
-    Land that the user stopped or that failed is noted in `_left`, so that it is not begun again. terrain: (dependency
-    graph, object), None if no window shows it any more.
+    Land that the user stopped or that failed is noted in `_refused`, so that it is not begun again. terrain:
+    (dependency graph, object), None if no window shows it any more.
     """
     making, job = _making, _making.job
     depsgraph, obj = terrain or (None, None)
     if obj is None or not obj.adaptive_terrain.live or job.stopped or _has_new_settings(depsgraph, obj):
         if job.stopped:
-            _left.add(making.land.folder)
+            _refused.add(making.land.folder)
         _end_job(making)
         return False
     if not job.advance():
         return False
     _end_job(making)
     if job.error:
-        _left.add(making.land.folder)
+        _refused.add(making.land.folder)
         session.record_of(obj).status.error = job.error
-    elif not job.result:
+    elif not job.result:  # no tile was missing
         _rests[making.uid].done = True
     return bool(job.result)
 
@@ -229,7 +237,8 @@ def _advance_job(terrain: tuple | None) -> bool:
 def _has_new_settings(depsgraph, obj) -> bool:
     """Return whether the terrain's settings describe other land than the one that is being made.
 
-    Another request for the same land, as of a moved view, becomes the job's.
+    If only the request has changed, such as after a move of the view, the job goes on for its old views, and the new
+    key is noted.
     """
     key = session.record_of(obj).live_key
     if key == _making.key:
@@ -239,7 +248,7 @@ def _has_new_settings(depsgraph, obj) -> bool:
 
 
 def _end_job(making: _Making) -> None:
-    """End a job; if its child process is about to start, that is cancelled once it has started."""
+    """End a job, and cancel its child process; one that is only about to start (`begun`) is cancelled once it has."""
     global _making
     _making = None
     making.job.close()

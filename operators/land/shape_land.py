@@ -25,8 +25,9 @@ from .request import land_of
 def wanted_land(obj, depsgraph, views: list[View] = ()) -> Land:
     """Return the land that Shape Now has to make: everywhere, or only the tiles that `views` see.
 
-    views: in the space of `raster_placement_of`; without any, all of the land is fine. They count only if the terrain's
-    Detail is In the Shot. Raises TerrainError if the stack is empty, switched off or invalid.
+    views: of a terrain whose origin is the raster's middle, at its present transform; without any, all of the land is
+    fine. They count only if the terrain's Detail is In the Shot (`of_views`). Raises TerrainError if the stack is
+    empty, switched off or invalid.
     """
     evaluated = obj.evaluated_get(depsgraph)
     land = land_of(obj, evaluated, depsgraph, waits=True)
@@ -91,7 +92,7 @@ def _visit_views(obj, scene, land: Land, frames: list[int]):
     if not land.of_views:
         yield []
         return
-    # about_middle: in the space of the raster, as `wanted_land` takes them.
+    # about_middle: the terrain's origin is the raster's middle, as `wanted_land` expects.
     yield from visit_views(obj, scene, frames, raster_placement_of(obj), about_middle=True)
 
 
@@ -132,6 +133,7 @@ class _Shaping(JobOperator):
         """Shape the land of the frames in a child process: the steps of a background job, which returns the land."""
         obj, scene, depsgraph = self.subject(context), context.scene, context.evaluated_depsgraph_get()
         _check_is_visible(obj, depsgraph)
+        # This first land tells only whether views count; their tiles are known after the frames were visited.
         visits = _visit_views(obj, scene, wanted_land(obj, depsgraph), self.frames(scene))
         views = yield from jobs.visit_frames(job, visits)
         land = wanted_land(job.terrain(), bpy.context.evaluated_depsgraph_get(), views)
@@ -143,7 +145,7 @@ class _Shaping(JobOperator):
         child, wanted = derived_store.begin_shaping(land, wanted)
         derived_store.counts["stores"] += 1  # for tests
         yield from jobs.run_in_child(job, child)
-        yield from jobs.wait_with_result(job)  # the end of shaping may update the mesh
+        yield from jobs.wait_with_result(job)  # until the kernels are compiled that an update of the mesh may need
         derived_store.finish_shaping(land, wanted)
         return land
 
@@ -172,6 +174,7 @@ class ShapeLand(_Shaping, bpy.types.Operator):
         obj, scene = context.object, context.scene
         try:
             _check_is_visible(obj, context.evaluated_depsgraph_get())
+            # As in `steps`, the first land tells only whether views count.
             *_, views = _visit_views(
                 obj, scene, wanted_land(obj, context.evaluated_depsgraph_get()), self.frames(scene)
             )
@@ -199,7 +202,7 @@ class ShapeAndRender(_Shaping, bpy.types.Operator):
         return context.mode == "OBJECT" and next_unshaped(context) is not None
 
     def invoke(self, context, event):
-        """End the shaping of resting land, which this job does too, and start the job."""
+        """End the background refinement of land (resting_land.py), since this job shapes it, and start the job."""
         resting_land.give_way()
         return JobOperator.invoke(self, context, event)
 

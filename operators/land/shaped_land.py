@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The state of a terrain's land for the panel: the stack in its mesh, its cost and its layers."""
+"""The state of a terrain's land for the panel: the stack in its mesh, its cost and its layers.
+
+Shaped land is a store in a folder beside the imported store (`folder_beside`). A request without `land` shows its
+`store`. One with `land` shows the shaped land if `land.waits`, else a preview, which the engine computes coarsely.
+"""
 
 import functools
 from dataclasses import dataclass, field, replace
@@ -46,7 +50,7 @@ class LandState:
         shown: SOURCE, PREVIEW or SHAPED: the data of the mesh.
         step_m: metres between the samples that the stack was applied to.
         tiles: number of built and of all tiles, None for a preview or the source.
-        ms: milliseconds by the entries' positions in the list, None for an entry whose tiles were all known before.
+        ms: milliseconds by the entries' positions in the list, None for an entry whose tiles were all cached.
         note: sentence below the figures, "" for none.
         finished_early: finer levels were not computed.
         seen: only the land in view of a shot is fine, and the shot may have changed.
@@ -76,10 +80,10 @@ def render_wait_of(obj) -> render_wait.LandWait | None:
 
 def seconds_to_shape(obj) -> float | None:
     """Return the estimated seconds of Shape Now for a terrain that shows a preview, None without an estimate."""
-    request = session.record_of(obj).status.request
+    request = session.record_of(obj).status.request  # of the last update
     if request is None or request.land is None or request.land.waits:
         return None
-    beside = folder_beside(request.land.source)
+    beside = folder_beside(request.land.source)  # its time of change is part of the key of the cached estimate
     try:
         return _estimate_seconds(request.land, beside.stat().st_mtime_ns if beside.exists() else 0)
     except (TerrainError, OSError):
@@ -144,6 +148,8 @@ def active_numbers(land) -> list[int]:
 def state_of(obj) -> LandState:
     """Return the state of a terrain's land after its last update; LandState() if no entry of the stack is active.
 
+    `seen` in it: the land is fine only where the views of a shot look, and the shot may have changed.
+
     A terrain of less than SMALL_M gets a note about its size instead of any other.
     """
     numbers = active_numbers(obj.adaptive_terrain.land)
@@ -161,7 +167,8 @@ def state_of(obj) -> LandState:
 def _state_after_update(obj, numbers: list[int]) -> LandState:
     """Return the LandState of the mesh of the last update: a preview, shaped land, or neither, with the reason.
 
-    numbers: positions of the active entries in the list.
+    numbers: positions of the active entries in the list. The note warns of tiles that may not fit together, or else
+    tells how much the levels that were left out may change heights.
     """
     request = session.record_of(obj).status.request
     if request is not None and request.land is not None and not request.land.waits:  # the mesh shows a preview
@@ -178,7 +185,7 @@ def _state_after_update(obj, numbers: list[int]) -> LandState:
     tiles, note = (sum(map(len, info.tiles)), sum(info.tile_counts)), ""  # built, all
     if info.doubtful:  # an effect whose tiles may not fit together
         note = phrase(DOUBTFUL, phrase(info.doubtful), f"{MAX_WHOLE:,}")
-    elif info.left_out_max_m > 0.0:
+    elif info.left_out_max_m > 0.0:  # whole_effect: the one that computed all of a level, which others left out
         sizes = plain(info.left_out_rms_m), plain(info.left_out_max_m)
         note = (
             phrase(LEFT_OUT_BUT, phrase(info.whole_effect), *sizes) if info.whole_effect else phrase(LEFT_OUT, *sizes)
@@ -218,7 +225,9 @@ class _ShapingInfo:
 def _read_provenance(store: str, _changed_ns: int) -> _ShapingInfo | None:
     """Read the provenance of a shaped store, None if it has none or an invalid one.
 
-    `_changed_ns`: last change of its file, part of the cache's key.
+    Its list `added` has statistics of each effect at each level; `entry` is the effect's number among the active
+    entries, `computed` its number of tiles that were not cached. `_changed_ns`: last change of the store's file, part
+    of the cache's key.
     """
     try:
         shaped = stores.read_json(Path(store))["provenance"]["shaped"]

@@ -123,7 +123,7 @@ def _slope_degrees(radians: float) -> float:
 
 
 def preset_of(land) -> Stack:
-    """Return the whole stack of a terrain's settings for a file.
+    """Return the whole stack of a terrain's settings (LandSettings) for a file.
 
     It includes entries that are off. An entry whose mask is an object, or an image that is not chosen, acts everywhere
     in it. Raises TerrainError for an invalid entry, and for an image without a file.
@@ -152,7 +152,7 @@ def preset_of(land) -> Stack:
 
 
 def fill(land, stack: Stack) -> list[str]:
-    """Replace the stack in a terrain's settings by `stack` of the engine, such as a preset's.
+    """Replace the entries of `land` (LandSettings) by those of `stack`, such as a preset's.
 
     Returns a sentence for each part that the settings cannot hold.
     """

@@ -92,7 +92,7 @@ class RemoveLandEffect(_EntryOperator, bpy.types.Operator):
     bl_label = "Remove Land Effect"
 
     def _change_stack(self, land) -> bool:
-        """Remove the active entry and choose the one above it; return True."""
+        """Remove the active entry and make the one that takes its place active, or the last one; return True."""
         land.entries.remove(land.active)
         land.active = max(0, min(land.active, len(land.entries) - 1))
         return True

@@ -70,7 +70,8 @@ class AddWaterSurface(ShapedLandJob, bpy.types.Operator):
     def finish(self, _context, terrain, result: tuple[float | None, Surface, float | None]) -> None:
         """Create or update the water object, a child of the terrain, and report its size and sea level.
 
-        result: of `steps`. The level is stored on the object only if the user has chosen it.
+        result: the sea level that the user has chosen (None without one), the water's mesh, and the height of its sea
+        (None without a sea). Only a chosen level is stored on the object.
         """
         level, surface, sea = result
         water = existing_water(terrain) or _add_water(terrain)

@@ -18,10 +18,11 @@ LINEAR = np.array(
 
 
 def decal_parameters(terrain, placement: np.ndarray, depsgraph, tilts: bool) -> dict[str, object]:
-    """Return the parameter "decals" of attributes, {} without decals: normal maps if `tilts`, else colours.
+    """Return a terrain's decals as the parameter "decals" of the attributes that show them; {} without decals.
 
-    The lowest decal is first. placement: the terrain's matrix to the world, float64 [4, 4]. Raises TerrainError for an
-    empty that stands upright, an image without pixels, or a hidden empty that Blender would have to evaluate.
+    tilts: those whose images are normal maps, else those with colours. The lowest decal is first. placement: the
+    terrain's matrix to the world, float64 [4, 4]. Raises TerrainError for an empty that stands upright, an image
+    without pixels, or a hidden empty that Blender would have to evaluate.
     """
     found = []
     for child in terrain.original.children_recursive:
@@ -63,24 +64,25 @@ def _to_picture(image, pixels: np.ndarray) -> DecalPicture:
     has_alpha = pixels.shape[2] == 4 and image.alpha_mode != "NONE"
     is_multiplied = image.is_float and image.alpha_mode in ("STRAIGHT", "PREMUL")  # as Blender holds float colours
     is_srgb = not image.is_float and image.colorspace_settings.name == "sRGB"
-    shown = 3 if pixels.shape[2] >= 3 else 1  # grey is given to all three
+    num_colours = 3 if pixels.shape[2] >= 3 else 1  # grey is given to all three
 
     def read_rows(first: int, end: int) -> np.ndarray:
-        """Return linear colours and alpha of some rows, float32 [rows, columns, 4]."""
+        """Return linear colours and alpha of rows `first` to `end` - 1, float32 [rows, columns, 4]."""
         part = pixels[first:end]
         linear = np.empty((*part.shape[:2], 4), np.float32)
         if is_srgb:
             levels = np.clip(part, 0.0, 1.0)
             levels *= np.float32(255.0)
             levels += np.float32(0.5)
+            # LINEAR: the linear value of each byte in sRGB.
             part = LINEAR.take(levels.astype(np.uint8), mode="clip")  # alpha, too: faster than colours alone
         if part.shape[2] == 4:
             linear[...] = part
         else:
-            linear[..., :3] = part[..., :shown]
+            linear[..., :3] = part[..., :num_colours]
         linear[..., 3:] = pixels[first:end, :, 3:] if has_alpha else 1.0
         if is_multiplied:
             linear[..., :3] /= np.maximum(linear[..., 3:], np.float32(1e-6))
         return linear
 
-    return picture_of_rows((*pixels.shape[:2], 4), read_rows, _is_normal_map(image))
+    return picture_of_rows((*pixels.shape[:2], 4), read_rows, tilts=_is_normal_map(image))  # tilts: stored as slopes

@@ -67,7 +67,10 @@ def cached_value(image, kind: type[T], user: str, make: Callable[[object, np.nda
 
 
 def check_image_files(image, user: str) -> None:
-    """Raise TerrainError if a file of an image is a pipe or a device: Blender would wait for it forever."""
+    """Raise TerrainError if a file of an image is a pipe or a device: Blender would wait for it forever.
+
+    user: the image's reader in words, for the error.
+    """
     if image.source == "GENERATED" or image.packed_file is not None:
         return
     path = Path(absolute_path(image.filepath_raw, library=image.library))
@@ -93,7 +96,10 @@ def numbered_files(path: Path, source: str) -> list[Path]:
 
 
 def _check_not_truncated(image, user: str) -> None:
-    """Raise TerrainError for a truncated PNG: Blender would show the missing part in black."""
+    """Raise TerrainError for a truncated PNG: Blender would show the missing part in black.
+
+    user: the image's reader in words, for the error.
+    """
     if image.is_dirty or image.source != "FILE":
         return  # painted: the file does not matter
     path = Path(absolute_path(image.filepath_raw, library=image.library))

@@ -57,15 +57,17 @@ def give_terrain_material(obj, sources: LayerSources) -> bpy.types.Material:
 
     A material that an object with another mesh uses, or that is linked from a file, is copied first. The inputs of the
     layers get their colours; other inputs and links stay. The group's normal is linked to shaders without one.
+    sources: the layers, light and maps that the group reads.
     """
     material, node = _find_group(obj) or _create_material(obj)
     names = _socket_names([name for name, _ in sources.layers])
     layers = [(name, colour) for name, (_, colour) in zip(names, sources.layers, strict=True)]
     sources = replace(sources, layers=layers)
-    low, high = obj.bound_box[0], obj.bound_box[6]
+    low, high = obj.bound_box[0], obj.bound_box[6]  # opposite corners of the box
     side = max(high[0] - low[0], high[1] - low[1])
     names_before = set(node.inputs.keys())
-    build_group(node.node_tree, sources, side / FIELDS if side > 0 else 1.0)
+    variation_size = side / FIELDS if side > 0 else 1.0  # default, in metres
+    build_group(node.node_tree, sources, variation_size)
     for item in _input_sockets(node.node_tree):
         if item.name not in names_before:  # the node's own socket was made before the interface had its default
             node.inputs[item.name].default_value = item.default_value
@@ -164,7 +166,8 @@ def _socket_names(names: Sequence[str]) -> list[str]:
 def build_group(tree, sources: LayerSources, size: float) -> None:
     """Build the nodes of the group `tree` anew; links to its inputs stay.
 
-    sources: with layer names that are unique among all sockets. size: default of the input Variation Size, metres.
+    sources: layers (name and colour) with names that are unique among all sockets, none with a baked map of all colours
+    (COLORS); light: which of SKY and SUN darken. size: default of the input Variation Size, metres.
     """
     names = [name for name, _ in sources.layers]
     strengths = {SKY: OCCLUSION, SUN: SHADOW}  # input that sets how much each darkens
@@ -219,14 +222,16 @@ def _input_sockets(tree) -> list:
 
 
 def _add_value(n: Nodes, sources: LayerSources, name: str):
-    """Add nodes that read one number of an attribute, from its baked map or the attribute; return the output."""
+    """Add nodes that read one number of the attribute `name`, from its baked map if `sources` has one; return the
+    output.
+    """
     if name in sources.maps:
         return n.add("ShaderNodeSeparateColor", {0: _add_map(n, sources, name)["Color"]}).outputs[0]
     return n.add("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
 
 
 def _add_map(n: Nodes, sources: LayerSources, name: str):
-    """Add nodes that read the baked map of an attribute at the terrain's position; return outputs "Color" and "Alpha".
+    """Add nodes that read the map of the attribute `name`, which `sources` has; return outputs "Color" and "Alpha".
 
     At the border of two tiles EEVEE takes the jump from one tile to the other for a derivative, and shows the mean
     of a whole tile in a line of a pixel or two. So the image is read there without mipmaps, with cubic
@@ -260,7 +265,7 @@ def _add_seam_mask(n: Nodes, place, tile: float):
 def _add_weights(n: Nodes, sources: LayerSources, group: int):
     """Add nodes that read the weights of four layers; return two sockets: three as a colour, and the fourth as alpha.
 
-    group: number of the four, from 0: the attribute or map `splat_1` has the first ones.
+    group: number of the four, from 0: the attribute `splat_1`, or its map if `sources` has one, has the first ones.
     """
     name = f"splat_{group + 1}"
     if name in sources.maps:
@@ -273,7 +278,9 @@ def _add_weights(n: Nodes, sources: LayerSources, group: int):
 def _add_noise(n: Nodes, size):
     """Add two octaves of noise; return a vector of three different mixtures, about -1 .. 1 each.
 
-    size: metres. Each octave fades with distance, so that it does not flicker.
+    size: metres. Each octave fades with distance, so that it does not flicker: at SEEN times its length it is half as
+    strong. The mixtures are the sum, its opposite and the difference of the octaves. They change BANDED times as fast
+    with height, like strata.
     """
     place = n.vector("MULTIPLY", n.add("ShaderNodeTexCoord").outputs["Object"], (1.0, 1.0, BANDED))
     from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
@@ -283,7 +290,7 @@ def _add_noise(n: Nodes, size):
         inputs = {"Vector": n.vector("DIVIDE", place, length), "Scale": 1.0, "Detail": 4.0, "Roughness": 0.7}
         noise = n.math("SUBTRACT", n.add("ShaderNodeTexNoise", inputs).outputs[0], 0.5)
         fading = n.math("POWER", 0.5, n.math("DIVIDE", from_camera, n.math("MULTIPLY", length, SEEN)))
-        octaves.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", fading, 4.0)))
+        octaves.append(n.math("MULTIPLY", noise, n.math("MULTIPLY", fading, 4.0)))  # 4: up to about 1
     both = n.math("ADD", *octaves)
     inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *octaves)}
     return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
@@ -292,8 +299,8 @@ def _add_noise(n: Nodes, size):
 def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
     """Add nodes that mix the layers' colours by their weights; the noise makes the borders ragged.
 
-    n: adds nodes to the tree. colours: output sockets, one for each layer. noise: output socket of a vector. Returns
-    the output socket of the mixed colour.
+    n: adds nodes to the tree. sources: has the maps of the weights, if they are baked. colours: output sockets, one for
+    each layer. noise: result of `_add_noise`. Returns the output socket of the mixed colour.
     """
     # Factors of the weights about 1: of the first three layers of a group, and of the fourth, opposite to the first.
     three = n.vector("MULTIPLY_ADD", noise, (RAGGED, RAGGED, RAGGED), (1.0, 1.0, 1.0))
@@ -315,7 +322,8 @@ def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):
 def _add_variation(n: Nodes, colour, noise, variation):
     """Add nodes that make a colour lighter or darker, warmer or colder by the noise; return the colour.
 
-    noise: output socket of a vector, independent along its axes. variation: socket of the strength, 0 .. 1.
+    noise: result of `_add_noise`, of which the first and the third mixture are used. variation: socket of the strength,
+    0 .. 1. The factors of the colour are 0.15 at least, so that nothing is black.
     """
     first, _, third = n.add("ShaderNodeSeparateXYZ", {0: noise}).outputs
     grey, warm = n.scaled(LIGHTER, first), n.scaled(WARMER, third)

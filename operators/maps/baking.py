@@ -57,7 +57,7 @@ def bake_maps(
         on_progress: called with the fraction done; may raise to stop.
         lock: held while the engine works, for other threads that use it; None for none.
     """
-    tiling = tiling_of(field.lattice, min_level(field.raster))
+    tiling = tiling_of(field.lattice, min_level(field.raster))  # min_level: below 0 where parts have finer samples
     heights = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     # Metres for each tile: of its finest content, which no texel has to be smaller than, and of the pixels that see it.
     content = pixels = sizing.shown_by(tiling, field, request.requests)
@@ -65,6 +65,7 @@ def bake_maps(
         placement = np.eye(4) if request.placement is None else request.placement
         pixels = sizing.footprints(sizing.boxes(tiling, field, **heights), request.views, placement, request.only_seen)
     texel_bytes = sum(coding_of(ATTRIBUTES[item.name], request.form).texel_bytes for item in request.requests)
+    # sides: texels along a side of each tile's image; tiles get coarser if all texels exceed the budget.
     sides = sizing.resolutions(tiling, pixels, content, texel_bytes, request.budget_mb)
     more = {"form": request.form, "on_progress": on_progress, "lock": lock}
     return bake(field, request.requests, request.folder, sides, **heights, **more)

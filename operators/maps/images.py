@@ -47,7 +47,7 @@ def reserve_folder(obj) -> None:
 
 
 def index_of(obj) -> dict | None:
-    """Return the maps of a terrain as maps.json of its folder lists them; None without any of its present height map.
+    """Return the maps of a terrain as maps.json of its folder lists them; None if none show its present heights.
 
     Raises TerrainError for a store that cannot be read.
     """
@@ -69,7 +69,7 @@ def map_image(obj, name: str) -> bpy.types.Image | None:
     index, folder = index_of(obj), map_folder(obj)
     entry = index and index["maps"].get(name)
     files = [folder / tile["file"] for tile in entry["tiles"]] if entry else []
-    if not files or not files[0].is_file() or any(map(blocks_reader, files)):
+    if not files or not files[0].is_file() or any(map(blocks_reader, files)):  # a pipe would block Blender
         return None
     image = _find_image(folder / entry["file"]) or bpy.data.images.load(str(files[0]))
     if UDIM in entry["file"] and image.source != "TILED":
@@ -112,6 +112,7 @@ def outdated_note(obj) -> str:
     """Return a note if a terrain's materials show maps that were baked from other heights; "" otherwise.
 
     An import may have given the terrain another store, and with it another folder of the same name for new maps.
+    maps.mark: that name, "" before the first baking.
     """
     name = map_folder(obj).name
     if not obj.adaptive_terrain.maps.mark or all(path.parent.name != name for path in images_of_materials(obj)):
@@ -166,6 +167,7 @@ def _lookup_group(columns: int, rows: int) -> bpy.types.NodeTree:
     n = Nodes(group)
     vector = n.add("ShaderNodeUVMap", uv_map=UV_LAYER).outputs["UV"]
     if columns * rows > 1:
+        # tile + MARGIN + (1 - 2 MARGIN) (scaled - tile); scaled: UV in tiles
         counts = (float(columns), float(rows), 1.0)
         scaled = n.vector("MULTIPLY", vector, counts)
         tile = n.vector("MINIMUM", n.vector("FLOOR", scaled), (columns - 1.0, rows - 1.0, 0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bake maps of a terrain into images beside the window."""
+"""Bake maps of a terrain into images in the background, while the window stays usable."""
 
 from typing import TYPE_CHECKING
 
@@ -42,10 +42,13 @@ class BakeMaps(JobOperator, bpy.types.Operator):
         return (yield from jobs.run_on_thread(job, lambda: _shape_and_bake(request, job)))
 
     def finish(self, _context, obj, baked: "Baked") -> None:
-        """Have Blender read baked images again that it has loaded, and report; a material loads the others."""
+        """Have Blender read the baked images again that it had loaded, and report the bake.
+
+        Images that it had not loaded are loaded when a material is built.
+        """
         from .baking import summary
 
-        map_images.reserve_folder(obj)  # an undo may have removed it
+        map_images.reserve_folder(obj)  # again: an undo may have removed the folder's name from the settings
         map_images.reload(map_images.map_folder(obj), _image_files(baked))
         self.report({"INFO"}, summary(baked, obj.name))
 

@@ -23,12 +23,13 @@ WITHOUT_VIEW = Criterion(error_px=0.0, error_m=1.0)  # the whole terrain needs n
 def chosen_maps(obj, depsgraph) -> set[str]:
     """Return the attributes whose maps the terrain's settings choose, or that its materials read.
 
-    It is empty if the user has chosen none. Raises TerrainError if materials count and read none.
+    It is empty if the user has chosen none. Raises TerrainError if the materials decide and read none.
     """
     settings = obj.adaptive_terrain.maps
     if settings.which == CHOSEN:
         return set(settings.chosen)
     requests = gather(obj, depsgraph, RENDER).effects.requests
+    # PICTURE: attributes that only pixels show, so that a map can take their place.
     read = {item.name for item in requests if item.family == PICTURE} | maps_shown_by_materials(obj)
     if not read:
         raise TerrainError(
@@ -69,11 +70,12 @@ def visit_for_request(
             f"The folder of the maps, {settings.folder!r}, is relative to a .blend file that was never saved",
             fix="save the file, or choose another folder",
         )
+    # At the present frame, for everything except the views.
     first = gather(obj, depsgraph, RENDER, criterion=WITHOUT_VIEW, overrides=Overrides(effects=names), **options)
     only_seen = frames is not None or settings.frames == SHOT
     if frames is None:
         frames = {FRAME: [scene.frame_current], SHOT: frames_of(scene)}
-        frames = frames.get(settings.frames, [])
+        frames = frames.get(settings.frames, [])  # none for WHOLE: the whole terrain, whatever views show
     views = []
     for views in visit_views(obj, scene, frames, first.placement, **options):  # fractions, and at the end the views
         if isinstance(views, float):

@@ -39,7 +39,11 @@ class Overlay:
 
 
 def make_overlay(field, request, surface) -> Overlay:
-    """Return the overlay that `request` asks for, for the triangles of `surface`. Any thread may call it."""
+    """Return the overlay that `request` asks for, for the triangles of `surface`. Any thread may call it.
+
+    field: height field of the terrain. request: its Request, with views and error criteria. surface: the mesh, with the
+    level of each triangle.
+    """
     if request.overlay == ERROR_OVERLAY:
         return _color_errors(field, request, surface)
     return _color_levels(field.lattice, surface.level)
@@ -73,27 +77,27 @@ def _color_errors(field, request, surface) -> Overlay:
 
 
 def _color_levels(lattice, level: np.ndarray) -> Overlay:
-    """Return the overlay of levels. level: int [triangles], bisections of each.
+    """Return the overlay of levels. level: int [triangles], bisections of each. lattice: the height field's grid.
 
-    Triangles of a cell's size end the scale and finer ones are beyond it, in every frame. Odd levels are darker, which
-    separates neighbours. The legend has LEGEND_LINES of the levels at most, evenly spaced.
+    Triangles of a cell's size, level lattice.cell_depth, end the scale and finer ones are beyond it, in every frame.
+    Odd levels are darker, which separates neighbours. The legend has LEGEND_LINES of the levels at most, evenly spaced.
     """
     all_levels = np.arange(MAX_LEVEL + 1)
     span = max(1, min(SCALE_LEVELS, lattice.cell_depth - 1))  # levels on the scale
     colours = scale_colours(1.0 + (all_levels - lattice.cell_depth) / span)
     colours[1::2] *= DARKER
-    named = np.unique(level)
-    if len(named):
-        named = np.unique(named[np.linspace(0, len(named) - 1, LEGEND_LINES).round().astype(int)])
-    texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in named.tolist()]
-    return Overlay(_corner_colours(colours, level), _make_legend(texts, colours[named]))
+    listed = np.unique(level)
+    if len(listed):
+        listed = np.unique(listed[np.linspace(0, len(listed) - 1, LEGEND_LINES).round().astype(int)])
+    texts = [phrase("Level {}: edges of {} m", n, f"{_shortest_edge_m(lattice, n):.3g}") for n in listed.tolist()]
+    return Overlay(_corner_colours(colours, level), _make_legend(texts, colours[listed]))
 
 
 def _shortest_edge_m(lattice, level: int) -> float:
     """Return the shortest horizontal edge of a triangle of this level in metres.
 
     Two more bisections halve all edges. Triangles of odd levels are halves of a square; those of even levels are
-    quarters, with half of its diagonal as an edge.
+    quarters, with half of its diagonal as an edge. The squares of levels 1 and 2 have 2**lattice.levels cells a side.
     """
     x, y = (step * 2.0 ** (lattice.levels - (level - 1) // 2) for step in (lattice.step_x, lattice.step_y))
     return min(x, y) if level % 2 else min(x, y, math.hypot(x, y) / 2)

@@ -86,10 +86,14 @@ def fit(obj) -> None:
         return
     scale, raster = scale_of(terrain), imported_of(terrain.adaptive_terrain)
     is_ruled = has_habitat(settings.where)
-    # Rules leave a share of the points, so these may be closer together. full: distance to thinning out, in spacings.
+    # Rules leave about SHARE_BY_RULES of the points, so these may be closer together. full: distance from the camera,
+    # in spacings, from which points are left out.
     factor, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
+    # smallest: spacing at which all the land has MAX_ON_LAND points
     smallest = 0.0 if raster is None else scale * math.sqrt(math.prod(raster.extent_m) / MAX_ON_LAND)
     spacing = rounded(max(width, factor * smallest), digits=2, toward=math.ceil)
+    # The setting of the spacing counts in the terrain's own metres, distances from the camera in those of the world.
+    # reach: how far an object and its shadow extend from its point, metres of the world
     put_numbers(settings, spacing / scale, full_until=full * spacing, reach=REACH_HEIGHTS * max(width, height))
 
 

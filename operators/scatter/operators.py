@@ -68,14 +68,16 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
 def new_scatter(terrain, spacing: float):
     """Create an object for a scatter of a terrain, with its modifier; return it.
 
-    spacing: metres between points, in the terrain's space.
+    spacing: metres between points, in the terrain's space. Its default instances are cones as high as the spacing.
+    full_until: distance from the camera, in metres of the world, up to which all points exist. reach: how far objects
+    and their shadows extend.
     """
     obj = new_child(terrain, f"{terrain.name} Scatter")
     settings, in_world = obj.adaptive_scatter, spacing * scale_of(terrain)
     settings.enabled, settings.seed = True, len(scatters_of(terrain))
     full_until, reach = FULL_OF_CONES * in_world, REACH_HEIGHTS * in_world
     put_numbers(settings, spacing, full_until=full_until, reach=reach, first=True)
-    add_modifier(obj, in_world)
+    add_modifier(obj, cone_height=in_world)
     return obj
 
 

@@ -73,7 +73,7 @@ class ScatterPanel:
         for name in ("spacing", "full_until", "size", "variation", "align", "roots", "margin_deg", "margin_m"):
             column.prop(settings, name, **LABELS.get(name, {}))
         row = column.row()
-        row.active = settings.roots != MESH
+        row.active = settings.roots != MESH  # such points are never culled: hidden triangles may be too coarse
         row.prop(settings, "cull_hidden")
         column.prop(settings, "seed")
         column.separator()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scatters of a terrain: objects parented to it whose points follow its updates. Hidden ones are left alone."""
+"""Scatters of a terrain: objects parented to it whose points follow its updates. Hidden ones keep their points."""
 
 import math
 import time
@@ -119,7 +119,7 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
 def max_points(render: bool) -> tuple[int, str]:
     """Return the largest number of points of a scatter that Blender can instance, and a phrase for what limits it.
 
-    render: for a render, whose limit is the machine's memory alone; a viewport also has MAX_IN_VIEWPORT.
+    render: for a render, whose limit is three quarters of the machine's memory; a viewport also has MAX_IN_VIEWPORT.
     """
     max_in_memory = physical_memory() * 3 // 4 // POINT_BYTES
     if not render and max_in_memory > MAX_IN_VIEWPORT:
@@ -137,6 +137,7 @@ def make_points(
     Args:
         records: by session_uid of the scatter's object; missing ones are added.
         request: the terrain's Request.
+        heights: its height field.
         terrain: the terrain's engine.
         surface: the terrain's mesh, for points on it.
         serial: number of that mesh, which changes with it.
@@ -147,7 +148,7 @@ def make_points(
     views = tuple(view.key() for view in scatters.views)
     below, outline = request.cleanup.key()  # the height and the outline by which the mesh is cut
     is_uncut = not request.cleanup.active  # a cut part would hide ground that is seen through the cut
-    horizon = cache(terrain.horizon)  # one for all scatters
+    horizon = cache(terrain.horizon)  # what the mesh hides from each view; one for all scatters that cull by it
     for item in scatters.items:
         record = records.setdefault(item.uid, ScatterRecord())
         key = (
@@ -202,7 +203,7 @@ def show_points(terrain, records: dict[int, ScatterRecord], request) -> None:
         del records[uid]
     for uid in uids & set(children):
         record, mesh = records[uid], children[uid].data
-        shown = record.key, mesh.session_uid, len(mesh.vertices)
+        shown = record.key, mesh.session_uid, len(mesh.vertices)  # the object may have another mesh, as after an undo
         if record.points is None or shown == record.shown:
             continue
         start = time.perf_counter()

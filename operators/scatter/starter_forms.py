@@ -104,7 +104,10 @@ class FormNodes(Nodes):
         return self.move(grid, self.xyz(x, y, z))
 
     def leaf(self, width: float, fold: float):
-        """Return a rhombus of length 1 along X and `width`, folded down along X: two triangles."""
+        """Return a rhombus of length 1 along X and `width`, folded down along X: two triangles.
+
+        fold: metres down per metre from the middle.
+        """
         grid = {"Size X": 1.0, "Size Y": 1.0, "Vertices X": 2, "Vertices Y": 2}
         mesh = self.add("GeometryNodeMeshGrid", grid).outputs["Mesh"]
         x, y, _ = self.coordinates()  # -0.5 .. 0.5; the square's diagonal becomes the length of the leaf
@@ -114,7 +117,10 @@ class FormNodes(Nodes):
         return self.move(mesh, self.xyz(along, across, down))
 
     def stem(self, height: float, bottom: float, top: float, sides: int, rings: int, sway: float):
-        """Return a tapered stem of `rings` segments that swings by up to `sway` metres. bottom, top: radii."""
+        """Return a tapered stem of `rings` segments that swings by up to `sway` metres. bottom, top: radii.
+
+        sides: of its cross-section.
+        """
         inputs = {
             "Vertices": sides,
             "Side Segments": rings,
@@ -129,7 +135,10 @@ class FormNodes(Nodes):
         return self.move(cone, self.xyz(self.math("MULTIPLY_ADD", swing, sway, x), y, lower))
 
     def blob(self, subdivisions: int, size: tuple, middle: tuple, rough: float, noise_scale: float):
-        """Return an ellipsoid with radii `size` about `middle`, dented by noise. rough: fraction of the radii."""
+        """Return an ellipsoid with radii `size` about `middle`, dented by noise. rough: fraction of the radii.
+
+        subdivisions: of the icosahedron. noise_scale: dents per unit of the unit sphere.
+        """
         sphere = self.add("GeometryNodeMeshIcoSphere", {"Radius": 1.0, "Subdivisions": subdivisions}).outputs["Mesh"]
         position = self.position()
         self.seed += 1
@@ -168,8 +177,10 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     height, branches = 18.0 * size, 125
     stem = nodes.stem(height, bottom=0.24 * size, top=0.02, sides=6, rings=3, sway=0.15)
     trunk = nodes.dress(stem, materials["Bark"], shade=0.5)
+    # A point of the line below is a twig. Branch of each: its number // TWIGS; 0.5 keeps the quotient of floats from
+    # rounding across a whole number.
     index = nodes.index()
-    branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))  # of a twig
+    branch = nodes.math("FLOOR", nodes.math("DIVIDE", nodes.math("ADD", index, 0.5), float(TWIGS)))
     part = nodes.math("DIVIDE", branch, float(branches))  # 0 for the lowest branch, 1 at the top
     below_top = nodes.math("SUBTRACT", 1.0, part)
     length = nodes.math("MULTIPLY_ADD", nodes.math("POWER", below_top, 0.85), 2.3 * size, 0.1 * size)  # of a branch
@@ -188,6 +199,7 @@ def conifer(nodes: FormNodes, materials, size: float) -> None:
     twigs = nodes.put(points, nodes.leaf(width=0.62, fold=0.7), euler, twig_length)
     x, y, z = nodes.coordinates()
     away = nodes.vector("LENGTH", nodes.xyz(x, y, 0.0))
+    # Lighter further from the stem and further up.
     shade = nodes.math("MULTIPLY_ADD", away, 0.26 / size, nodes.math("MULTIPLY", z, 0.35 / height))
     # A dark cone fills the gaps between the twigs.
     inner = {"Vertices": 8, "Radius Bottom": 0.9 * size, "Radius Top": 0.04, "Depth": 0.84 * height}
@@ -210,7 +222,9 @@ def broadleaf(nodes: FormNodes, materials, size: float) -> None:
         middle = (away * size * math.cos(angle), away * size * math.sin(angle), up * size)
         radii = (radius * size, radius * size, tall * size)
         # A dark ellipsoid fills the gaps between the leaves.
-        dark = nodes.blob(2, tuple(0.8 * r for r in radii), middle, rough=0.45, noise_scale=1.6)
+        dark = nodes.blob(
+            subdivisions=2, size=tuple(0.8 * r for r in radii), middle=middle, rough=0.45, noise_scale=1.6
+        )
         parts.append(nodes.dress(dark, materials["Leaves"], shade=0.12))
         parts.append(nodes.leaves(count, radii, middle, leaf=0.95 * size, material=materials["Leaves"]))
     nodes.finish(*parts)
@@ -223,7 +237,9 @@ def bush(nodes: FormNodes, materials, size: float) -> None:
     for middle, radius, tall, count in (((0.0, 0.0, 0.55), 0.75, 0.68, 230), ((0.6, 0.25, 0.35), 0.5, 0.42, 120)):
         middle, radii = tuple(size * c for c in middle), (radius * size, radius * size, tall * size)
         # A dark ellipsoid fills the gaps between the leaves.
-        dark = nodes.blob(2, tuple(0.78 * r for r in radii), middle, rough=0.45, noise_scale=1.8)
+        dark = nodes.blob(
+            subdivisions=2, size=tuple(0.78 * r for r in radii), middle=middle, rough=0.45, noise_scale=1.8
+        )
         parts.append(nodes.dress(dark, materials["Leaves"], shade=0.12))
         parts.append(nodes.leaves(count, radii, middle, leaf=0.26 * size, material=materials["Leaves"]))
     nodes.finish(*parts)
@@ -248,7 +264,7 @@ def grass(nodes: FormNodes, materials, size: float) -> None:
 def rock(nodes: FormNodes, materials, size: float) -> None:
     """Build a rock that is partly in the ground. `size`: its diameter in metres."""
     radii, middle = (0.5 * size, 0.42 * size, 0.34 * size), (0.0, 0.0, 0.14 * size)
-    stone = nodes.blob(4, radii, middle, rough=0.55, noise_scale=0.9)
+    stone = nodes.blob(subdivisions=4, size=radii, middle=middle, rough=0.55, noise_scale=0.9)
     position = nodes.position()
     cells = nodes.add("ShaderNodeTexVoronoi", {"Vector": position, "Scale": 2.2 / size}).outputs["Distance"]
     cut = nodes.math("MULTIPLY_ADD", nodes.math("SUBTRACT", cells, 0.4), -0.22, 1.0)  # each cell of the noise bulges

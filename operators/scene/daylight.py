@@ -61,8 +61,8 @@ def haze_color(elevation: float) -> list[float]:
 def add_sky(scene, towards: Vector) -> None:
     """Give the scene a new world with a sky whose sun is in the direction `towards`, a unit vector.
 
-    A sun below the horizon is put on it. The haze of the horizon continues below it, where the terrain ends. The
-    scene's world before loses the scene as its user.
+    A sun below the horizon is put on it. The haze of the horizon continues below it, where the terrain ends. The new
+    world replaces the scene's old one, which stays in the file only if it has other users.
     """
     world = bpy.data.worlds.new(SKY)
     remember_built(scene, built.SKY, world)

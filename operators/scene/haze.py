@@ -79,7 +79,7 @@ def _apply(material, values: dict) -> None:
 
 
 def haze_group() -> bpy.types.NodeTree:
-    """Return the node group of the haze, by its MARK; it is built once a file, and again if the file's is linked."""
+    """Return the node group of the haze, by its MARK; it is built if the file has none, or only a linked one."""
     for group in bpy.data.node_groups:
         if MARK in group and group.library is None:
             return group
@@ -101,10 +101,12 @@ def haze_group() -> bpy.types.NodeTree:
     point = n.math("DIVIDE", above, height)
     rise = n.math("DIVIDE", n.math("MULTIPLY", _z(n, geometry["Incoming"]), away), height)
     # Mean density along the line of sight: the integral of exp(-z) over a segment, by its length.
+    # lower: height of the lower end of the segment; below the base the air is as dense as at the base.
     lower = n.math("MAXIMUM", n.math("MINIMUM", point, n.math("ADD", point, rise)), 0.0)
     span = n.math("MAXIMUM", n.math("ABSOLUTE", rise), THIN)
     mean = n.math("DIVIDE", n.math("SUBTRACT", 1.0, _decay(n, span)), span)
     density = n.math("MULTIPLY", mean, _decay(n, lower))
+    # Optical depth: at full density, light falls by e for each Distance. hidden: the part of it that haze absorbs.
     depth = n.math("DIVIDE", n.math("MULTIPLY", density, away), n.math("MAXIMUM", group_inputs[DISTANCE], 1e-6))
     hidden = n.math("SUBTRACT", 1.0, _decay(n, depth))
     factor = n.math("MULTIPLY", hidden, n.add("ShaderNodeLightPath").outputs["Is Camera Ray"])

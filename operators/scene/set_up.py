@@ -91,6 +91,7 @@ class SetUpScene(bpy.types.Operator):
             _remove(sun)
         camera = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
+        # towards: unit vector to the sun. A new sun is `turn` away from the camera's direction; a user's stays.
         towards = _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
         if has_no_material(obj):
             _choose_layers(obj)
@@ -129,8 +130,8 @@ class SetUpScene(bpy.types.Operator):
             to_world, built_camera.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
         else:
             to_world = viewpoint.view_across(obj)
-            if viewport is not None:
-                viewpoint.look_from(viewport[1], to_world, 0.5 * sight.diagonal(sight.box_of(obj)))
+            if viewport is not None:  # it then orbits about a point half a terrain ahead
+                viewpoint.look_from(viewport[1], to_world, distance=0.5 * sight.diagonal(sight.box_of(obj)))
         built_camera.matrix_world = to_world
         built_camera.data.clip_start, built_camera.data.clip_end = viewpoint.clip_range(obj, to_world.translation)
         leave_map(scene)  # a map camera has changed the size of the picture

@@ -25,7 +25,8 @@ GENTLE = math.tan(math.radians(24.0))  # ground that is no scree
 ENOUGH_LOW, ENOUGH_GENTLE, ENOUGH_SKYLINE = 0.05, 0.2, 0.04
 SKYLINE, ENOUGH_OFF = 0.03, 0.1  # rise over distance of the best skyline, and the difference that costs one point
 EDGE = 2.5  # weight of the terrain's border where it stands before the sky
-MIN_SEA, INLAND = 0.01, 0.05  # as of Add Water: parts of the ground that are a sea, and that it floods inland
+# As in Add Water: land is a coast if this fraction of it is at 0 m or lower; inland, this fraction counts as water.
+MIN_SEA, INLAND = 0.01, 0.05
 LENS_MM, SENSOR_MM = 28.0, 36.0
 FACTORY_CLIP = 0.1, 100.0  # metres, of a new camera
 
@@ -97,7 +98,9 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
 
     x [n], y [m]: positions of the heights z [m, n], metres. water_level: height up to which ground counts as water.
     The eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
-    after a mean. A score is the sum of the seen kinds, 1 each at most, less the faults of the skyline and the border.
+    after a mean. RAYS: angles from the azimuth; DISTANCES: of a ray's samples, in shorter sides of the terrain; BOTTOM:
+    rise over distance at the frame's lower edge. A score is the sum of the seen kinds, 1 each at most, less the faults
+    of the skyline and the border.
     """
     side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
     slope = np.hypot(*np.gradient(z, y, x))
@@ -107,6 +110,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         """Return the numbers of the samples of `axis`, x or y, nearest to some coordinates."""
         return np.rint((coordinates - axis[0]) / (axis[-1] - axis[0]) * (len(axis) - 1)).astype(int)
 
+    # Eyes: on a grid over the terrain, each above the highest of nine samples around it.
     spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
     eyes_along = ((axis[0] + axis[-1]) / 2 + spread * np.ptp(axis) for axis in (x, y))
     eye_x, eye_y = (grid.ravel() for grid in np.meshgrid(*eyes_along))
@@ -115,6 +119,7 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
     eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
     best, found = -math.inf, None
     for azimuth in np.arange(VIEWS) * (math.tau / VIEWS):
+        # Samples along the rays of every eye, and which ones are seen: those that rise above all nearer samples.
         angles = azimuth + RAYS
         away = side * DISTANCES
         at_x = eye_x[:, None, None] + np.sin(angles)[:, None] * away
@@ -124,15 +129,16 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
         horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
         shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
+        # Parts of the score: the height in the frame that each kind of ground fills, in the mean of the rays.
         flat, gentle = z[row, column] <= water_level, is_gentle[row, column]
         low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
-        skyline = horizon[..., -1].std(axis=-1)
+        skyline = horizon[..., -1].std(axis=-1)  # an uneven skyline counts as a kind of ground
         last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
         # The border of the terrain is seen where a ray's last sample is below the eye and not hidden.
         edge = np.take_along_axis(rise, last, axis=-1)[..., 0]
         is_edge_seen = (edge < 0.0) & (np.take_along_axis(shown, last, axis=-1)[..., 0] > 0.0)
         cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)  # worse the nearer the border is
-        off = abs(horizon[..., -1].mean(axis=-1) - SKYLINE) / ENOUGH_OFF
+        off = abs(horizon[..., -1].mean(axis=-1) - SKYLINE) / ENOUGH_OFF  # a skyline too high or low in the frame
         score = np.minimum(low_seen / ENOUGH_LOW, 1.0) + np.minimum(gentle_seen / ENOUGH_GENTLE, 1.0)
         score = score + np.minimum(skyline / ENOUGH_SKYLINE, 1.0) - off - EDGE * cut_off
         if score.max() > best:

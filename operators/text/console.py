@@ -62,7 +62,10 @@ class Progress:
         self.close()
 
     def to(self, done: float, worked: bool = True) -> None:
-        """Move the bar to `done` steps; `worked` is False for steps without work. Raises Stopped."""
+        """Move the bar to `done` steps. Raises Stopped.
+
+        worked: False for steps without work, as skipped frames, which do not count in the estimate of the time left.
+        """
         if worked:
             self._worked += done - self.done
         self.done = done
@@ -129,7 +132,7 @@ def open_streams() -> None:
 
     Characters that the encoding of stdout lacks are printed as escapes.
     """
-    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:
+    while (number := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest free descriptor
         os.set_inheritable(number, True)
     os.close(number)
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))
@@ -137,7 +140,7 @@ def open_streams() -> None:
 
 
 def why_stdout_failed(error: Exception) -> str:
-    """Return why stdout cannot be written, or "" if `error` has another cause.
+    """Return why stdout cannot be written, or "" if `error` has another cause. error: the exception of a command.
 
     The rest of the output is dropped, since Python would try to write it at exit and report another error.
     """
@@ -148,7 +151,7 @@ def why_stdout_failed(error: Exception) -> str:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.close(nowhere)
-    else:  # stdout can be written now; after a broken pipe only because Python has dropped the rest itself
+    else:  # Writing works. It also does after a broken pipe, since Python then has dropped the rest itself.
         if not isinstance(error, BrokenPipeError):
             return ""
     return f"stdout cannot be written ({error.strerror}): make room, or keep reading from the pipe."

@@ -70,12 +70,15 @@ def _unreadable(text: str) -> TerrainError:
 
 
 def _with_names(pair: tuple[float, float], names: list[str], is_degrees: bool, text: str) -> Coordinates:
-    """Return numbers as Coordinates by the names in their text, none or one for each. Raises TerrainError."""
+    """Return two numbers as Coordinates; names such as "N" or "lon" in their text give their order, sign and unit.
+
+    names: in lower case, none, or one for each number. Raises TerrainError for names that do not fit.
+    """
     if not names:
         return Coordinates(*pair, is_degrees=is_degrees)
     if len(names) == 2:
         for order, axes in ((EAST_FIRST, (EASTWARD, NORTHWARD)), (NORTH_FIRST, (NORTHWARD, EASTWARD))):
-            # -1 for west and south, None for a name of another axis
+            # -1 for west and south, None for a name of another axis. "-5 W" is refused: it may mean either side.
             signs = [axis.get(name) for axis, name in zip(axes, names, strict=True)]
             if None in signs or any(sign == -1 and number < 0.0 for sign, number in zip(signs, pair, strict=True)):
                 continue
@@ -105,7 +108,8 @@ def _read_numbers(text: str) -> tuple[float, float] | None:
     Raises TerrainError where commas may separate thousands as well as decimals: 47,420 10,980.
     """
     pairs = [pair for way in _WAYS if (pair := _read_pair(text, *way)) is not None]
-    # With the first way one comma only separates whole numbers, as in 47,10, which has one meaning.
+    # Without a point or an apostrophe commas are ambiguous if two ways read different numbers, except if the first way
+    # reads the text: then its comma separates two whole numbers, as in 47,10.
     if "." not in text and "'" not in text and len(set(pairs)) > 1 and _read_pair(text, *_WAYS[0]) is None:
         raise TerrainError(
             f"The commas in {shown(text, 60)!r} may separate decimals or thousands",

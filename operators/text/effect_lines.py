@@ -10,7 +10,10 @@ BYTES = 4  # of a float32
 
 
 def about(effect: AttributeDeclaration) -> dict:
-    """Return an attribute's declaration as texts and numbers by name for the command line, which omits empty ones."""
+    """Return an attribute's declaration as texts and numbers by name for the command line, which omits empty ones.
+
+    "looks": how far around a vertex it reads. "adds to the bound": its part in the mesh's error.
+    """
     return {
         "about": effect.about,
         "unit": effect.unit,
@@ -36,7 +39,10 @@ def _parameter_text(parameter) -> str:
 
 
 def status_line(name: str, status) -> str:
-    """Return `slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped."""
+    """Return `slope: read by material Rock, node Attribute.003; 12.1 ms, 0.4 MB`, or why it was skipped.
+
+    name: the attribute's. status: its EffectStatus of the last update.
+    """
     text = readers_text(status)
     text = text if status.note else text[0].lower() + text[1:]
     return f"{name}: {text}" if status.skipped else f"{name}: {text}; {cost_figures(status)}"
@@ -45,7 +51,8 @@ def status_line(name: str, status) -> str:
 def readers_text(status, say: Callable[..., str] = str.format) -> str:
     """Return the readers of an effect after its note, or why it was skipped; `status` is None before an update.
 
-    say: formats a template with values, in a panel also translated.
+    say: formats a template with values, in a panel also translated. An attribute from which geometry is made (GEOMETRY)
+    is computed at one scale everywhere; others are filtered to the size of pixels. note: why values are 0.
     """
     if status is None:
         return say("No update yet")
@@ -59,7 +66,7 @@ def readers_text(status, say: Callable[..., str] = str.format) -> str:
 
 
 def cost_text(status, say: Callable[..., str]) -> str:
-    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new`; "-" without one.
+    """Return the cost of the last update: `12.1 ms, 0.4 MB, 1,203 new` (values that were not reused); "-" without one.
 
     say: formats a template with values, in a panel also translated.
     """

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from .svg import LINE, dot, path, picture, text
 
-WIDTH, HEIGHT = 860, 520
-LEFT, RIGHT, TOP, BOTTOM = 64, 226, 32, 48
+WIDTH, HEIGHT = 860, 520  # of the drawing, pixels
+LEFT, RIGHT, TOP, BOTTOM = 64, 226, 32, 48  # margins of the axes, pixels; the legend is in the right one
 NEGLIGIBLE = 1e-9  # points below this fraction of the largest value are left out
 DOT, RING, CROSS = "dot", "ring", "cross"
 
@@ -64,7 +64,10 @@ def draw(curves: Sequence[Curve], x_label: str, y_label: str) -> str:
 
 
 def _draw_curve(curve: Curve, x_axis: "_Axis", y_axis: "_Axis", legend_y: float) -> list[str]:
-    """Return the SVG parts of a curve and of its line in the legend at height `legend_y`."""
+    """Return the SVG parts of a curve and of its line in the legend at height `legend_y`.
+
+    x_axis, y_axis: map values to pixels.
+    """
     places = [(x_axis(x), y_axis(y)) for x, y in curve.points]
     dash = f'stroke-dasharray="{curve.dash}"' if curve.dash else ""
     left = WIDTH - RIGHT
@@ -92,7 +95,7 @@ def _drawable(curves: Sequence[Curve]) -> list[Curve]:
     for curve in curves:
         flags = [p in valid and p[0] > limits[0] and p[1] > limits[1] for p in curve.points]
         points, spans = (
-            [value for value, keep in zip(values, flags, strict=False) if keep]
+            [value for value, keep in zip(values, flags, strict=False) if keep]  # spans may be empty
             for values in (curve.points, curve.spans)
         )
         if points:

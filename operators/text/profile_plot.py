@@ -8,16 +8,17 @@ import numpy as np
 from .numbers import length_text, plain
 from .svg import LINE, TEAL, WASH, path, picture, text
 
-WIDTH, HEIGHT = 860, 360
-LEFT, RIGHT, TOP, BOTTOM = 72, 24, 40, 44
+WIDTH, HEIGHT = 860, 360  # of the drawing, pixels
+LEFT, RIGHT, TOP, BOTTOM = 72, 24, 40, 44  # margins of the axes, pixels
 LINES = 5  # approximate number of grid lines per axis
 MAX_POINTS = 4000  # a few per pixel
 
 
 def draw(along: np.ndarray, heights: np.ndarray, title: str) -> str:
-    """Return the SVG of heights over distances, float64 [n] metres each; NaN breaks the line where there is no ground.
+    """Return the SVG of a profile, with grid lines and a heading; NaN breaks the line where there is no ground.
 
-    Of more than MAX_POINTS points an even selection is drawn, so short gaps may be bridged.
+    along, heights: distances from the start and heights, float64 [n] metres each. Of more than MAX_POINTS points an
+    even selection is drawn, so short gaps may be bridged.
     """
     known = np.isfinite(heights)
     if not known.any():

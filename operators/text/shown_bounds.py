@@ -18,7 +18,10 @@ LONG = 1e7  # below this, all digits before the point are shown
 
 
 def bound_text(bound: float, unit: str, digits: int = 3) -> str:
-    """Format as `0.998 px`, rounded up to at least `digits` significant digits; NO_BOUND if there is none."""
+    """Format as `0.998 px`, rounded up to at least `digits` significant digits; NO_BOUND if there is none.
+
+    A bound of more digits, up to LONG, is shown with all digits before the point, as `12,345 px`.
+    """
     if not bound < LARGEST:
         return NO_BOUND
     if 10.0 ** (digits - 1) <= bound < LONG:

@@ -5,7 +5,7 @@ import bpy
 
 from ..session import session
 
-LINE_LENGTH = 36
+LINE_LENGTH = 36  # characters of a line in a narrow panel
 LIMITS = ("low", "high", "edge")  # the numbers of a band, for draw_band
 
 

@@ -36,7 +36,7 @@ def draw_status(layout, context, obj, below) -> None:
     """Draw one row about the terrain's state: the first that applies of progress, failure, state and visibility.
 
     layout: of a panel. obj: the shown terrain, which need not be the active object. below: the next row, for a second
-    button.
+    button. A notice about visibility is harmless if viewports replace the camera that sees nothing.
     """
     row = layout.row(align=True)
     status = session.record_of(obj).status
@@ -65,7 +65,7 @@ def draw_status(layout, context, obj, below) -> None:
         row = row.split(factor=NOTICE_WIDTH) if text else row
         icon = "INFO" if harmless else "ERROR" if text else "CHECKMARK"
         row.label(text=text or "In sight", icon=icon)
-        if text in NO_VIEW and not harmless:
+        if text in NO_VIEW and not harmless:  # two buttons: the detail for viewports here, the operator's in `below`
             row.prop_enum(obj.adaptive_terrain, "camera_source", VIEWPORT_VIEW)
             row = below.row()
             row.ui_units_x = BUTTON_UNITS

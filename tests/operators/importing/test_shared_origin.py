@@ -120,7 +120,7 @@ def test_another_system_is_placed_by_its_middle(saved):
     (x,), (y,) = warp("EPSG:32632", "EPSG:32633", [6e5 + 200 + 3000], [5.2e6 - 150 - 1000])
     terrain = add(path, "EPSG:32633", Affine(10, 0, x - 200, 0, -10, y + 150), "b")
     assert list(terrain.location[:2]) == pytest.approx([3000.0, -1000.0], abs=1e-2)
-    [note] = shared_origin._place_by_middle(
+    [note] = shared_origin._place_by_anchor(
         terrain, shared_origin.origin_of(scene), imported_of(terrain.adaptive_terrain)
     )
     assert "only the terrain's origin is in the right place" in note

@@ -6,7 +6,11 @@ from one of three places: the front (the edge by which the curve enters the slic
 which only one triangle is known yet, left and right of the curve), or the sides and corners that root squares share. A
 slice whose two leaves at an edge give it different levels is marked TORN. `w`: the arrays of all slices. An edge's
 level is the depth of triangles whose longest edge it is. Capital names after `first_state` or STATE_SIZE are columns
-of `w.state`, which has STATE_SIZE entries for each slice.
+of `w.state`, which has STATE_SIZE entries for each slice; those that begin with END describe the end of a slice.
+
+An entry of `w.imports` is (kind, value). The kinds STACK (and + 1, the right border's) and SIDE have the edge's level
+in their upper bits. The value is a number of the front (0 and 1: its vertices, 2: the edge), a number of entries below
+the top of the stack, the entry in `w.side`, or the square.
 """
 
 import warp as wp
@@ -59,10 +63,7 @@ def resolve(
 
     It also completes the entries of shared sides that later slices import, and marks slices as TORN whose triangles do
     not fit together. slices: number of slices. open, open_level: scratch for two stacks of `size` entries: the edges
-    that are open at the end of a slice, each as (edge, vertex where it begins), and their levels. An entry of
-    `w.imports` is (kind, value); the kinds STACK (and + 1, the right border's) and SIDE have the edge's level in their
-    upper bits. value: which number of the front (0, 1: its vertices, 2: the edge), how far below the top of the
-    stack, the entry in `w.side`, or the square. State entries that begin with END describe the end of a slice.
+    that are open at the end of a slice, each as (edge, vertex where it begins), and their levels.
     """
     squares = w.columns * w.rows
     tops = wp.vec2i(0, 0)

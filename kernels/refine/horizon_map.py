@@ -2,7 +2,9 @@
 """Computation of the polar horizon map from minimum heights; kernels/refine/hiding.py describes and proves the map.
 
 The eye is surrounded by square rings of growing radius, whose four sides are divided into bins of directions. For each
-ring and bin the map has a slope (height above the eye over the radius): rays below it are behind nearer ground.
+ring and bin the map has a slope (height above the eye over the radius): rays below it are behind nearer ground. The
+map is in `criterion.slopes` from `rings.at` on: a row of floors, then one for each ring, of ROW bins each. A slope
+hides all rays below it down to the floor; a ray below the floor may pass below the mesh before the mesh begins.
 
 An entry's arc is straight: x or y is the ring's radius. The mesh over it is no lower than the minimum height around it
 minus the mesh's permitted error, and every ray of the bin crosses the arc. Raster and mesh have no gap, so a ray that
@@ -319,11 +321,9 @@ def fill_horizon(
 ):
     """Write bin `offset + tid` of view `number`'s map of horizons: its floor, and its slope on every ring.
 
-    The slope of a ring hides all rays below it down to the floor; a ray below the floor may pass below the mesh before
-    the mesh begins. start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the
-    depth limit, lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxation:
-    factor on the criterion. The map is in `criterion.slopes` from `rings.at` on: a row of floors, then one for each
-    ring, of ROW bins each.
+    start: metres, a distance within which nothing may be drawn. margin_units: size of a leaf at the depth limit,
+    lattice units; such a leaf may exceed the criterion, but its corners are on the surface. relaxation: factor on the
+    criterion.
     """
     one = wp.float64(1.0)
     k = offset + wp.tid()

@@ -123,8 +123,7 @@ def gather(
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
     and `overrides` replace those of the settings and the scene. Frozen triangles are ignored if there is a `criterion`
     or an override other than `effects`; the time budget is ignored if there is a `criterion` or an overridden error.
-    `about_middle`: the origin of the terrain's space is the raster's middle, not the anchor. Raises TerrainError for a
-    terrain that cannot be refined.
+    `about_middle`: the origin of the terrain's space is the raster's middle, not the anchor. Raises TerrainError.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -150,7 +149,6 @@ def gather(
     if criterion.needs_view:
         with _name_terrain_in_errors(obj.name):
             views = _find_views(evaluated, depsgraph, mode, camera, resolution)
-    # The land to shape from the store by height operators, None without any; only a render waits until it is shaped.
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:  # only land in view has to be fine

@@ -81,8 +81,8 @@ class EffectValues:
     def put(self, name: str, values: np.ndarray, drop_last: bool = False) -> None:
         """Store the complete array of an attribute on this surface.
 
-        The array that `name` had, which is of the last surface, is kept beside it. drop_last: drop that one, which is
-        not reused.
+        The array that `name` had before belongs to the last surface. It is kept beside the new one, so that values can
+        be reused. drop_last: do not keep it.
         """
         self._arrays[name] = values, None if drop_last else self._arrays.get(name, (None, None))[0]
 

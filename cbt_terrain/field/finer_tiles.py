@@ -191,8 +191,9 @@ def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[t
 
 
 def pyramid_sides(bits: int) -> list[int]:
-    """Return the samples along a side of a tile at each coarser level finer than the raster, with one more at each end.
+    """Return the samples along a side of a tile at its levels 1 .. bits - 1, each half as fine as the one before.
 
+    Level 0 is the tile itself, level `bits` would be as coarse as the raster. One sample more at each end is included.
     bits: a raster cell has 2^bits finer cells a side.
     """
     return [(SIDE >> level) + 1 + 2 for level in range(1, bits)]  # cells, their last sample, and one at each end

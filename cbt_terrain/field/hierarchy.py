@@ -209,8 +209,8 @@ def build_ranges(
     """Fill `ranges` (uint16 [lattice.range_count, 2], zeroed): base + q * step encloses the surface.
 
     The two finest depths, three quarters of all diamonds, are not stored. Refinement intersects the ranges of their
-    parents instead, which is nested, and costs one triangle in a thousand. Nothing is filled if there are no coarser
-    depths. before: columns and rows of `samples` before the lattice's first ones.
+    parents instead. These are nested, too, but wider: meshes have about one triangle in a thousand more. Nothing is
+    filled if there are no coarser depths. before: columns and rows of `samples` before the lattice's first ones.
     """
     if lattice.range_depth == 0:
         return

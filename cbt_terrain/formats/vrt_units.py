@@ -102,7 +102,9 @@ def mosaic_notes(mosaic: Mosaic, band: int, scale_of: ScaleOf) -> list[str]:
 
 
 def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
-    """Return the warning that a VRT lacks a unit, or a scale and an offset.
+    """Return the warning that a VRT lacks a unit, or a scale and an offset, and how to give them.
+
+    There are two ways: write elements into the VRT's XML, or state factors on the command line.
 
     scale: unit, metres in a unit (None if unknown), scale and offset of the mosaic's files. lacks_unit, lacks_scale:
     which of them the VRT lacks.
@@ -118,7 +120,7 @@ def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
     xml = f"<UnitType>{shown(scale.unit)}</UnitType>" if not lacks_scale else " and ".join(elements)
     start = f"The files of the mosaic give their heights {missing.text}, and the VRT does not: write {xml} into it, or"
     if scale.metres is None:
-        return f"{start} give the metres in one of its values (--height-scale)."
+        return f"{start} give the number of metres in one of its units (--height-scale)."
     factor = (scale.metres if lacks_unit else 1.0) * missing.scale
     # The height offset is in metres and applies last; the scale applies to values in the VRT's unit, if it has one.
     offset = f" --height-offset {scale.metres * missing.offset:.10g}" if missing.offset else ""

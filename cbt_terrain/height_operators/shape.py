@@ -173,9 +173,9 @@ def _summarize_entry(
         entry=number,
         effect=shaping.entries[number].effect,
         rms_m=rms,
-        most_m=float(sums.max_change.max()),
+        max_m=float(sums.max_change.max()),
         whole=whole,
-        made=1 if whole else len(tiles),  # pieces, of which `computed` were not cached
+        pieces=1 if whole else len(tiles),
         computed=sums.computed,
         ms=sums.ms,
         # Computed in tiles although the entry has contradicted a coarser level (`LevelPlan.doubt`).

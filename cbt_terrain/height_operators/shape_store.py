@@ -40,6 +40,7 @@ from .tiles import Wanted, levels_of, whole_land
 SHAPING = 0.8
 ROWS = 256
 RECORD = 1  # version of the provenance; raising it rebuilds older land
+ADDED_KEYS = {"max_m": "most_m", "pieces": "made"}  # names of attributes of Added in the provenance, where they differ
 BUILDING, FINER = "Measuring errors", "Shaping finer tiles"
 DOUBTFUL = (
     "Tiles of {} may differ by more than 5 % from the land in one piece: big rivers run elsewhere at each level, and "
@@ -222,7 +223,10 @@ def _provenance(
         "stack": stack_content(stack),
         "tiles": shaped.tiles,
         "tile_counts": shaped.tile_counts,
-        "added": [dataclasses.asdict(added) for added in shaped.added],
+        "added": [
+            {ADDED_KEYS.get(key, key): value for key, value in dataclasses.asdict(added).items()}
+            for added in shaped.added
+        ],
         "left_out_rms_m": shaped.left_out_m[0],
         "left_out_most_m": shaped.left_out_m[1],
         "finished_early": shaped.finished_early,
@@ -274,7 +278,7 @@ def _shaping_report(
 
 def _describe_entry(added: Added) -> str:
     """Return a line such as "rivers at 16 m: 3.2 m rms, 41 m at most, 12 tiles, 3 of them new, 210 ms"."""
-    tiles = f"{added.made} tile{'s' if added.made != 1 else ''}, {added.computed} of them new"
+    tiles = f"{added.pieces} tile{'s' if added.pieces != 1 else ''}, {added.computed} of them new"
     tiles = f"the whole level, {'new' if added.computed else 'known before'}" if added.whole else tiles
-    metres = f"{added.rms_m:.3g} m rms, {added.most_m:.3g} m at most"
+    metres = f"{added.rms_m:.3g} m rms, {added.max_m:.3g} m at most"
     return f"{added.effect} at {added.spacing_m:.4g} m: {metres}, {tiles}, {added.ms:.0f} ms"

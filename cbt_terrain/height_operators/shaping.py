@@ -21,7 +21,7 @@ class Finished(Exception):
 class Added:
     """The difference of one operator at one level to its interpolated coarser level, over the computed tiles.
 
-    Its root mean square and largest absolute value are `rms_m` and `most_m`.
+    Its root mean square and largest absolute value are `rms_m` and `max_m`.
     """
 
     level: int
@@ -29,9 +29,9 @@ class Added:
     entry: int  # index among the active entries
     effect: str  # name of the operator
     rms_m: float
-    most_m: float
+    max_m: float
     whole: bool  # computed in one piece, not in tiles
-    made: int  # number of pieces, of which `computed` were not cached
+    pieces: int  # that the operator worked on, of which `computed` were not cached
     computed: int
     ms: float  # of work on this operator
     doubtful: bool = False  # computed in tiles although these differ too much from the level in one piece

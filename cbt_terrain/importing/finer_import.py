@@ -193,7 +193,10 @@ class _WorkRecords(FinerRecords):
         return self._windows.inputs_of(box)
 
     def find_seams(self, row: int, column: int) -> dict[str, Any] | None:
-        """Return the record of a block's seams, None for none; that of an earlier store is written into the work."""
+        """Return the record of the seams in a block of finer tiles, None if no record exists.
+
+        row, column: of the block, see `_number_of`. A record of an earlier store is written into the work, too.
+        """
         number = _number_of((column, row))
         record = self._found[SEAMS].get(number)
         if record is None and number in self._before[SEAMS]:

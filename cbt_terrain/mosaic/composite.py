@@ -224,7 +224,7 @@ class Composite:
             near = np.flatnonzero(meets[lattice.tiles])
             if not len(near):
                 continue
-            nodes = self._nodes_of(number, *piece.block)
+            nodes = self._nodes_of(number, *piece.block)  # positions in the lattice, of every 32nd sample of the block
             box = source_box(lattice, near, nodes, piece)
             if box is None:
                 continue

@@ -43,13 +43,17 @@ IMPORT_ENTRIES = (
 
 
 def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
-    """Return the report on a mosaic as JSON. Lengths are metres, coordinates those of its system."""
+    """Return the report on a mosaic as JSON. Lengths are metres, coordinates those of its system.
+
+    Seams are places where files overlap, edges are places where files meet without an overlap.
+    """
     grid, place = composite.grid, georeference_of(composite.grid)
     # x and y of the first and of the last sample, as arrays of one
     west, north = grid.positions(np.array([grid.column]), np.array([grid.row]))
     last = grid.positions(np.array([grid.column + grid.width - 1]), np.array([grid.row + grid.height - 1]))
     overlap, gap = coverage(composite)
-    scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)  # further, on the composite's metres
+    # The composite's heights are metres; the user may multiply them by a further factor.
+    scale = 1.0 if settings.height_scale is None else abs(settings.height_scale)
     edges = find_edges(composite)
     return {
         "files": len(composite.tiles),

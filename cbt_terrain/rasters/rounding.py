@@ -47,7 +47,8 @@ class SourceRounding:
     def half_step(self, largest: float) -> float:
         """Return the largest rounding error of heights up to `largest`, in their unit.
 
-        It is half the step between stored values of that size, or the whole step if digits were cut. The error of a
+        It is half the step between stored values of that size. It is the whole step if digits of floats were cut off
+        (`is_cut`; whole numbers are never cut). The error of a
         compression and those of the values from which these were computed (`before`) are added.
         """
         kind, scale = np.dtype(self.stored), abs(self.scale)

@@ -105,9 +105,10 @@ class Outcome:
         return None if total_m < 0.0 else Excess(math.sqrt(value2), fixed_m, total_m)
 
     def relaxation(self, quantity: int, request: float) -> float:
-        """Return the finite factor by which the mesh exceeds a request of a quantity, in the unit of `search`.
+        """Return the finite factor by which the mesh exceeds a request of a quantity.
 
-        If no factor meets the triangle limit, the mesh is the root triangles, and the factor is theirs.
+        request: in the unit of the values of `search`. If no factor meets the triangle limit, the mesh is the root
+        triangles, and the factor is theirs: the largest value that `search` finds without a threshold, over `request`.
         """
         if self.relaxed < math.inf:
             return self.relaxed

@@ -51,7 +51,7 @@ class TerrainLimits(NamedTuple):
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Return base and step of the ranges, metres."""
+        """Return base and step, metres: a code q of the height ranges is the height base + q * step."""
         return hierarchy.range_scale(self.low, self.high)
 
 

@@ -241,7 +241,10 @@ class TileWork:
         return copied
 
     def border(self, number: int, kind: int) -> np.ndarray:
-        """Return the codes (0) or kinds of cells (1) near the border of a tile, uint8 as `TileGrid.near_border`."""
+        """Return what was measured near the border of a tile, uint8, in the order of `TileGrid.near_border`.
+
+        kind: 0 for codes of errors, 1 for kinds of cells (ground, hole).
+        """
         return self.open("borders")[number, kind].copy()
 
     def decoded(self, samples: np.ndarray) -> np.ndarray:

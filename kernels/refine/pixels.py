@@ -297,10 +297,11 @@ def finest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 
 @wp.func
 def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
-    """Return the squared coarsest footprints of heights and edges, metres, of all views in any box inside that of d.
+    """Return limits of the squared footprints of heights and of edges, metres, for all boxes inside that of d.
 
-    They are the minima over the views; the third result is 1 if the frustums of all views contain the diamond's box.
-    in_frame: 1 if that is known, 0 to find out. Footprints are infinite without views, and for a diamond that extends
+    `coarsest_in` gives the largest squared footprints of one view in such a box; these are the least of all views. The
+    third result is 1 if the frustums of all views contain the diamond's box. in_frame: 1 if that is known, 0 to find
+    out. Footprints are infinite without views, and for a diamond that extends
     beyond the raster's border: some of its descendants are wholly outside, so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)

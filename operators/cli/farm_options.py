@@ -17,7 +17,7 @@ def add_submit(verb: argparse.ArgumentParser) -> None:
     from ..export.formats import parse_formats, parse_frames
 
     verb.add_argument("--scene", **SCENE, help="the .blend file, as it is on disk")
-    verb.add_argument("--frames", type=argparse_type(parse_frames), metavar=FRAMES, help="the scene's, without")
+    verb.add_argument("--frames", type=argparse_type(parse_frames), metavar=FRAMES, help="frames (those of the scene)")
     verb.add_argument(
         "--out", type=path, required=True, metavar="DIR", help="folder for the job; frames go to DIR/frames"
     )
@@ -30,7 +30,7 @@ def add_submit(verb: argparse.ArgumentParser) -> None:
         "--extension",
         type=path_text,
         metavar="ZIP",
-        help="install this zip for the job alone; installed: pack the one that runs",
+        help="zip of the extension that each task installs; the word `installed`: pack the extension that runs now",
     )
     memory = positive(MAX_MEMORY_GIB)
     verb.add_argument("--min-memory", type=memory, default=0.0, metavar="GIB", help="memory that a worker needs (any)")

@@ -60,7 +60,7 @@ def write_page(
         error_px: criterion of the exported frames.
         summaries: one of each exported frame.
         pictures: frame and file name of each picture, the first for the top of the page.
-        levels: "frame", "error_px" and "triangles" of the drawings by level.
+        levels: of the two pictures with triangles in the colours of their levels: "frame", "error_px", "triangles".
         crops: enlarged parts of the frame of `levels`.
         effects: an EffectStatus by name for each pictured frame.
         steps: seconds by step.

@@ -54,7 +54,7 @@ def all_terrains() -> list:
     found = [obj for obj in bpy.data.objects if is_terrain(obj)]
     for uid in set(_records) - {obj.session_uid for obj in found}:
         del _records[uid]
-        derived_store.release(uid)  # its shaped land may be removed
+        derived_store.release(uid)  # the store of its shaped heights may be deleted from the disk
     return found
 
 

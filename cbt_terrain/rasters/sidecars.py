@@ -21,6 +21,7 @@ AUX = ".aux.xml"
 SUFFIXES = (
     *(".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX),
     *(".hdr", ".stx", ".clr", ".ovr", ".msk", ".sgrd", ".ige", ".rrd", ".j2w", ".wpw", ".blw"),
+    *(".bilw", ".bipw", ".bqw", ".bsqw", ".fltw", ".demw", ".jp2w", ".webpw"),  # world files by GDAL's rule
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 LAST_LETTER = chr(sys.maxunicode)  # in the order of texts, after all letters of names
@@ -42,10 +43,11 @@ def sidecars(path: Path) -> list[Path]:
 def is_alone(path: Path) -> bool:
     """Return whether no other file of the folder has a raster's name with another suffix, so that none belongs to it.
 
-    False for a folder that cannot be listed.
+    False for a folder that cannot be listed. The file of polynomials of dem.tif is dem_RPC.TXT.
     """
     try:
-        return not _names_beside(path)
+        polynomials = any(os.path.exists(path.with_name(path.stem + end)) for end in ("_RPC.TXT", "_rpc.txt"))
+        return not polynomials and not _names_beside(path)
     except OSError:
         return False
 

@@ -148,6 +148,12 @@ def test_a_raster_is_alone_without_files_of_its_name(tmp_path):
         (tmp_path / name).touch()
     assert is_alone(tmp_path / "n46.tif") and is_alone(tmp_path / "dem_1.tif")
     assert not is_alone(tmp_path / "dem.tif"), "DEM.2.tif may belong to it"
+    (tmp_path / "n47.tif").touch()
+    (tmp_path / "n47_RPC.TXT").touch()
+    assert not is_alone(tmp_path / "n47.tif")
+    (tmp_path / "a.bil").touch()
+    (tmp_path / "a.bilw").touch()
+    assert sidecars(tmp_path / "a.bil") == [tmp_path / "a.bilw"]
     for name in ("N46.TFW", "dem_1.tif.msk", "dem1.tif.xml"):
         assert is_alone(tmp_path / f"{name.lower().split('.')[0]}.tif")
         (tmp_path / name).touch()

@@ -105,7 +105,6 @@ def _note(scale: HeightScale, lacks_unit: bool, lacks_scale: bool) -> str:
     """Return the warning that a VRT lacks a unit, or a scale and an offset, and how to give them.
 
     There are two ways: write elements into the VRT's XML, or state factors on the command line.
-
     scale: unit, metres in a unit (None if unknown), scale and offset of the mosaic's files. lacks_unit, lacks_scale:
     which of them the VRT lacks.
     """

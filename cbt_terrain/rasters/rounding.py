@@ -48,8 +48,8 @@ class SourceRounding:
         """Return the largest rounding error of heights up to `largest`, in their unit.
 
         It is half the step between stored values of that size. It is the whole step if digits of floats were cut off
-        (`is_cut`; whole numbers are never cut). The error of a
-        compression and those of the values from which these were computed (`before`) are added.
+        (`is_cut`; whole numbers are never cut). The error of a compression and those of the values from which these
+        were computed (`before`) are added.
         """
         kind, scale = np.dtype(self.stored), abs(self.scale)
         if scale == 0.0:

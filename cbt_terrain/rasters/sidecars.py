@@ -43,11 +43,10 @@ def sidecars(path: Path) -> list[Path]:
 def is_alone(path: Path) -> bool:
     """Return whether no other file of the folder has a raster's name with another suffix, so that none belongs to it.
 
-    False for a folder that cannot be listed. The file of polynomials of dem.tif is dem_RPC.TXT.
+    False for a folder that cannot be listed. The file of rational polynomials of dem.tif is dem_RPC.TXT.
     """
     try:
-        polynomials = any(os.path.exists(path.with_name(path.stem + end)) for end in ("_RPC.TXT", "_rpc.txt"))
-        return not polynomials and not _names_beside(path)
+        return not _names_beside(path) and not _names_from(path, path.stem.lower() + "_rpc.txt")
     except OSError:
         return False
 
@@ -57,10 +56,17 @@ def _names_beside(path: Path) -> list[str]:
 
     For example dem.tfw and DEM.tif.ovr for dem.tif. Raises OSError for a folder that cannot be listed.
     """
+    return [name for name in _names_from(path, path.stem.lower() + ".") if name != path.name]
+
+
+def _names_from(path: Path, start: str) -> list[str]:
+    """Return the names in a file's folder that begin with `start`, in small letters, whatever their case.
+
+    Raises OSError for a folder that cannot be listed.
+    """
     names = _names_in(str(path.parent), os.stat(path.parent).st_mtime_ns)
-    start = path.stem.lower() + "."
     first, end = (bisect.bisect_left(names, (text, "")) for text in (start, start + LAST_LETTER))
-    return [name for _, name in names[first:end] if name != path.name]
+    return [name for _, name in names[first:end]]
 
 
 @functools.lru_cache(maxsize=4)

@@ -301,8 +301,8 @@ def coarsest(criterion: CriterionArrays, d: Diamond, in_frame: wp.int32):
 
     `coarsest_in` gives the largest squared footprints of one view in such a box; these are the least of all views. The
     third result is 1 if the frustums of all views contain the diamond's box. in_frame: 1 if that is known, 0 to find
-    out. Footprints are infinite without views, and for a diamond that extends
-    beyond the raster's border: some of its descendants are wholly outside, so none is certain to be split.
+    out. Footprints are infinite without views, and for a diamond that extends beyond the raster's border: some of its
+    descendants are wholly outside, so none is certain to be split.
     """
     pixel2 = wp.float64(wp.inf)
     edge2 = wp.float64(wp.inf)

@@ -14,7 +14,7 @@ import pytest
 
 TESTS = Path(__file__).parents[1] / "support"
 FUZZ = int(os.environ.get("ADAPTIVE_TERRAIN_FUZZ", "0"))
-MANY_WORKS, MANY_STORES = max(12, FUZZ // 10), 2000 if FUZZ >= 10_000 else 24
+MANY_WORKS, MANY_STORES = max(24, FUZZ // 10), 2000 if FUZZ >= 10_000 else 24
 
 
 @pytest.mark.parametrize("stores", [15, pytest.param(MANY_STORES, marks=pytest.mark.thorough)])
@@ -36,7 +36,8 @@ def test_case_64_a_damaged_store_is_a_mesh_or_one_error(tmp_path, stores):
 def test_case_64_an_import_into_damage_is_a_store_or_one_error(tmp_path, first, works):
     """Imports by tile into damaged stores and works end with the undamaged arrays or one error, and touch no user file.
 
-    Damage with valid checksums may also change heights. Of the few seeds, 21 and 22 are refused.
+    Damage with valid checksums may also change heights. Seeds 21 and 22, which both runs have, are always refused; of
+    the earlier ones one is refused or not, depending on when its process is killed.
     """
     script = [sys.executable, str(TESTS / "damaged_works.py"), str(tmp_path / "works"), str(first), str(works)]
     done = subprocess.run(script, capture_output=True, text=True)

@@ -74,7 +74,7 @@ def describe_alone(settings: ImportSettings) -> dict:
     """
     source, scratch = Path(settings.source), Path(tempfile.gettempdir())
     # May read the source alone, and write only what an archive holds, into the scratch folder.
-    guard([source], scratch if is_archive(source) else None, settings.encoding)
+    guard([source], scratch if is_archive(source) else None)
     child.end_with_parent()
     with unpacked(source, scratch / store_folder.new_data_name()) as file:
         raster = open_source(dataclasses.replace(settings, source=str(file)))

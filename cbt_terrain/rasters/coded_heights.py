@@ -94,8 +94,10 @@ def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> Dataset
     coding: how colours stand for heights.
     """
     import rasterio
+    from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
+    masked = MaskFlags.per_dataset in dataset.mask_flag_enums[0]  # by an alpha band or a file beside it (.msk)
     shape = {"width": dataset.width, "height": dataset.height, "count": 1, "dtype": "uint32"}
     place = {"crs": dataset.crs, "transform": dataset.transform}
     tile = tile_of(path)
@@ -108,7 +110,10 @@ def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> Dataset
         rows = max(1, BLOCK_SAMPLES // dataset.width)
         for first in range(0, dataset.height, rows):
             window = Window(0, first, dataset.width, min(rows, dataset.height - first))
-            copy.write(codes_of(dataset.read(window=window)), 1, window=window)
+            codes = codes_of(dataset.read(window=window))
+            if masked:
+                codes[dataset.read_masks(1, window=window) == 0] = MISSING
+            copy.write(codes, 1, window=window)
     dataset.close()
     return memory.open(driver="GTiff")
 

@@ -125,14 +125,18 @@ def read_aux(file: Path) -> str:
 
 
 def allow_aux_file(path: Path) -> list[str]:
-    """Let GDAL read the .aux.xml beside a raster if it is harmless; return a warning if it is not."""
+    """Let GDAL read the .aux.xml beside a raster if it is harmless; return a warning if it is not.
+
+    GDAL then also reads those of its masks and overviews, such as dem.tif.msk.aux.xml, so all of them are checked.
+    """
     from rasterio.env import setenv
 
     file = aux_file(path)
     if file is None:
         return []
     try:
-        read_aux(file)
+        for each in [file, *_inner_aux_files(path)]:
+            read_aux(each)
     except TerrainError as reason:
         return [f"{reason} Its position, no-data, scale, offset and unit are not used."]
     if file.name != path.name + AUX:  # GDAL may find only the file that was checked
@@ -141,6 +145,18 @@ def allow_aux_file(path: Path) -> list[str]:
             f"system is read, not its position, no-data, scale, offset and unit: rename it to {shown(path.name)}{AUX}."
         ]
     setenv(GDAL_PAM_ENABLED="YES")
+    return []
+
+
+def _inner_aux_files(path: Path) -> list[Path]:
+    """Return the .aux.xml files of a raster's masks and overviews, whatever the case of their suffixes.
+
+    None is found in a folder that cannot be listed.
+    """
+    start = path.name.lower() + "."
+    with contextlib.suppress(OSError):
+        names = [name for name in _names_from(path, start) if name.lower().endswith(AUX)]
+        return [path.with_name(name) for name in names if name.lower() != start + AUX[1:]]
     return []
 
 

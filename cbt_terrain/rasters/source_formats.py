@@ -139,7 +139,10 @@ def all_drivers() -> set[str]:
 
 
 def drivers_of(form: SourceFormat) -> set[str]:
-    """Return the GDAL drivers that a file of a format needs: its own, or those of all files that a VRT may name."""
+    """Return the GDAL drivers that a file of a format needs: its own, or those of all files that a VRT may name.
+
+    GTiff is among them, for a mask beside the file (.msk) and for heights that are decoded from colours.
+    """
     if form.driver == "VRT":
         return {other.driver for other in FORMATS.values() if other.in_mosaic}
-    return {form.driver} - {""}
+    return {form.driver, "GTiff"} if form.driver else set()

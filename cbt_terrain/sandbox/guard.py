@@ -11,7 +11,6 @@ from ..errors import TerrainError, shown, unwritable
 from ..field import store_folder
 from ..formats.format_choice import inner_formats
 from ..formats.gdal_source import keep_only_drivers
-from ..rasters.coded_heights import PLAIN, may_be_coded
 from ..rasters.raster import ImportSettings
 from ..rasters.source_formats import SourceFormat, drivers_of
 from ..run.memory import physical_memory
@@ -22,12 +21,10 @@ from . import sandbox
 VARIABLES = {"PROJ_NETWORK": "OFF", "GDAL_DRIVER_PATH": "disable", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> dict[str, str]:
+def guard(paths: Iterable[Path], folder: Path | None) -> dict[str, str]:
     """Drop this process's rights before files are opened, and return the report of `sandbox.enter`, with "memory".
 
-    paths: the files. folder: existing one, where this process may still write; None for no folder. encoding: how the
-    pixels of an image hold heights: PLAIN as numbers, others as colours, which are decoded into a GeoTIFF in memory; ""
-    if the file's name tells.
+    paths: the files. folder: existing one, where this process may still write; None for no folder.
 
     Raises TerrainError if GDAL keeps drivers that the files do not need, and for a format with a large parser if a
     right remains.
@@ -38,11 +35,9 @@ def guard(paths: Iterable[Path], folder: Path | None, encoding: str = PLAIN) -> 
     drivers: set[str] = set()
     for path, form in [(each, form) for each in paths for form in inner_formats(each)]:
         forms[form.title] = form, path  # one file of each format, for errors
-        if form.driver and may_be_coded(path, encoding):
-            drivers.add("GTiff")  # for the decoded heights
     for form, _path in forms.values():
         form.load()
-        drivers |= drivers_of(form) if form.driver else set()
+        drivers |= drivers_of(form)
     if drivers:
         keep_only_drivers(drivers)
     remove_temporary_cache()  # not possible later
@@ -101,4 +96,4 @@ def guard_import(settings: ImportSettings, path: Path | None, files: Sequence[Pa
                 pass
         except OSError as reason:
             raise unwritable(f"The store {path}", reason) from reason
-    guard(files or [Path(settings.source)], path, settings.encoding)
+    guard(files or [Path(settings.source)], path)

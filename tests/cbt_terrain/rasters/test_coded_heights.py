@@ -64,6 +64,18 @@ def test_a_tile_has_its_heights_and_its_place(tmp_path, encoding):
     assert report["step_m"] == pytest.approx([2 * half / SIDE] * 2)
 
 
+def test_a_mask_beside_a_tile_counts(tmp_path):
+    source = tile(tmp_path, "terrarium")
+    mask = np.full((1, SIDE, SIDE), 255, np.uint8)
+    mask[0, 5, 7:11] = 0
+    beside = write_image(tmp_path / "mask.tif", mask, driver="GTiff")
+    with rasterio.open(beside, "r+") as file:
+        file.update_tags(INTERNAL_MASK_FLAGS_1="2", INTERNAL_MASK_FLAGS_2="2", INTERNAL_MASK_FLAGS_3="2")
+    beside.rename(f"{source}.msk")
+    raster = open_source(ImportSettings(str(source)))
+    assert np.array_equal(np.isnan(raster.read(0, SIDE)), mask[0] == 0)
+
+
 @pytest.mark.parametrize("encoding", STEPS)
 def test_reprojected_codes_are_decoded_first(tmp_path, encoding):
     """Reprojected heights stay within those of the tile, which a mean of colours would leave by more than 100 m."""

@@ -2,16 +2,21 @@
 """Files beside a raster: .aux.xml, world files, .prj. They are read, and nothing is ever written there."""
 
 import os
+import shutil
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.rasters.sidecars import MAX_BYTES, is_alone, sidecars
 from rasterio.crs import CRS
+from rasterio.shutil import copy
+from rasterio.transform import from_origin
 from rasters import hills, imported, write_raster
+from sandboxed_reads import read_in_sandbox
 
 WIDTH, HEIGHT = 6, 5
 UTM = "EPSG:32632"
@@ -19,6 +24,9 @@ WKT = CRS.from_epsg(32632).to_wkt()
 WORLD = "10\n0\n0\n-20\n600005\n5199990\n"
 PLACE = "<GeoTransform> 600000, 10, 0, 5200000, 0, -20</GeoTransform>"
 SYSTEM = f"<SRS dataAxisToSRSAxisMapping='1,2'>{WKT}</SRS>"
+
+
+MASKED = {"PNG": "png", "AAIGrid": "asc", "HFA": "img", "EHdr": "bil", "JP2OpenJPEG": "jp2", "netCDF": "nc"}
 
 
 def heights_16_bit():
@@ -99,6 +107,32 @@ def test_a_harmful_aux_file_is_not_read_but_warned_about(tmp_path, name):
     warnings = imported(tmp_path, source, height_scale=1.0)[1]["warnings"]
     [warning] = [warning for warning in warnings if not warning.startswith("The relief, ")]
     assert problem in warning and "a.tif.aux.xml is not read" in warning and warning.endswith("are not used.")
+
+
+@pytest.mark.parametrize("name", ["a.tif.msk.AUX.XML", "a.tif.msk.ovr.aux.xml", "a.tif.ovr.ovr.aux.xml"])
+def test_a_harmful_aux_file_of_a_mask_is_warned_about(tmp_path, name):
+    source = bare(tmp_path, "a.tif")
+    aux(source, PLACE)
+    (tmp_path / name).write_text(HARMFUL["another file"][0])
+    _, report = imported(tmp_path, source, height_scale=1.0)
+    assert report["step_m"] == [1.0, 1.0] and f"{name} is not read" in report["warnings"][0]
+
+
+def test_a_mask_beside_any_raster_counts(tmp_path):
+    """The process that reads keeps GDAL's driver of masks, whatever the raster's own driver is."""
+    heights, mask = heights_16_bit(), np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[1, 2:4] = 0
+    write_raster(tmp_path / "heights.tif", heights, crs=UTM, transform=from_origin(6e5, 5.2e6, 10, 10))
+    with rasterio.open(write_raster(tmp_path / "mask.tif", mask), "r+") as file:
+        file.update_tags(INTERNAL_MASK_FLAGS_1="2")  # one mask for all bands
+    files = []
+    for driver, suffix in MASKED.items():
+        files.append(tmp_path / f"a.{suffix}")
+        options = {"QUALITY": "100", "REVERSIBLE": "YES"} if driver == "JP2OpenJPEG" else {}
+        copy(tmp_path / "heights.tif", files[-1], driver=driver, **options)
+        shutil.copy(tmp_path / "mask.tif", f"{files[-1]}.msk")
+    wanted = ["read", [WIDTH, HEIGHT, float(heights[mask > 0].sum()), 2]]
+    assert dict(zip(MASKED, read_in_sandbox(files), strict=True)) == dict.fromkeys(MASKED, wanted)
 
 
 def test_a_system_of_an_aux_file_names_no_file(tmp_path):

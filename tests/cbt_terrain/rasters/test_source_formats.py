@@ -30,7 +30,7 @@ def test_options_and_drivers_belong_to_the_right_suffixes():
 
 
 def test_a_file_needs_its_driver_and_a_mosaic_several():
-    assert drivers_of(FORMATS[".grd"]) == {"netCDF"} and drivers_of(FORMATS[".npy"]) == set()
+    assert drivers_of(FORMATS[".grd"]) == {"GTiff", "netCDF"} and drivers_of(FORMATS[".npy"]) == set()
     assert drivers_of(FORMATS[".vrt"]) == {"AAIGrid", "GTiff", "PNG", "SRTMHGT", "VRT"}
 
 

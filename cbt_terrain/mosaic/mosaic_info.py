@@ -29,9 +29,27 @@ def describe_sources(settings: ImportSettings) -> dict:
 
     Raises TerrainError for files that cannot form a mosaic.
     """
+    return _ask(settings)
+
+
+def size_of_heights(settings: ImportSettings) -> tuple[int, int]:
+    """Return the columns and rows of the raster that an import makes, by the headers of its files.
+
+    Files are not compared with each other, so it takes less than half the time of `describe_heights`. Raises
+    TerrainError like it.
+    """
+    several = may_name_several(settings)
+    report = _ask(settings, only_size=True) if several else describe_source(settings)
+    columns, rows = report["raster"]
+    return columns, rows
+
+
+def _ask(settings: ImportSettings, only_size: bool = False) -> dict:
+    """Return the report of a child process on several sources. only_size: no more than the raster's size."""
     settings.check()
     files_of(settings)  # raises for sources that are not there, before a process starts
-    return ask("cbt_terrain.mosaic.mosaic_info", {"settings": dataclasses.asdict(settings)}, settings.name)
+    request = {"settings": dataclasses.asdict(settings), "only_size": only_size}
+    return ask("cbt_terrain.mosaic.mosaic_info", request, settings.name)
 
 
 def child_main() -> None:
@@ -42,7 +60,8 @@ def child_main() -> None:
 def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     """Return the report, in a child process that first gives up its rights.
 
-    request: the settings. A further argument, the function of `serve` that starts its thread, is not used.
+    request: the settings, and whether only the size is wanted. A further argument, the function of `serve` that starts
+    its thread, is not used.
     """
     settings, scratch = ImportSettings(**request["settings"]), Path(tempfile.gettempdir())
     if not has_several(settings):
@@ -52,17 +71,19 @@ def _describe(request: dict, on_progress: Tell, *_: Any) -> dict:
     guard_import(settings, folder, paths_of(settings))
     child.end_with_parent()
     with unpacked_sources(settings, scratch / store_folder.new_data_name()) as files:
-        return _report(settings, on_progress, files)
+        return _report(settings, on_progress, files, request["only_size"])
 
 
-def _report(settings: ImportSettings, on_progress: Tell, files: UnpackedFiles) -> dict:
-    """Return the report. files: the unpacked height maps of archives."""
+def _report(settings: ImportSettings, on_progress: Tell, files: UnpackedFiles, only_size: bool) -> dict:
+    """Return the report. files: the unpacked height maps of archives. only_size: no more than the raster's size."""
     composite = open_composite(
         settings, store=None, on_progress=lambda done: on_progress(SCANNED * done, READING), unpacked=files
     )
     composite.on_piece = lambda: on_progress(SCANNED, READING)
     try:
         raster = mosaic_raster(composite, settings)
+        if only_size:
+            return {"raster": [raster.width, raster.height]}
         report = describe_mosaic(composite, settings)
         place = georeference_of(composite.grid)
         report["warnings"] = [*report["warnings"], *raster.warnings, *place.warnings, *place.size_warnings]

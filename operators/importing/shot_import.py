@@ -23,7 +23,7 @@ from ...cbt_terrain.importing.refining import first_picture
 from ...cbt_terrain.importing.source_list import has_archives, names_several
 from ...cbt_terrain.importing.tile_crew import may_be_large
 from ...cbt_terrain.importing.tile_import import BEGIN, TILED_PARTS, ImportPart
-from ...cbt_terrain.mosaic.mosaic_info import describe_heights
+from ...cbt_terrain.mosaic.mosaic_info import size_of_heights
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.source_formats import CELL, suffixes_with
 from ...cbt_terrain.run.named_file import read_regular
@@ -49,7 +49,7 @@ def shared_tiles(obj) -> int:
     settings = settings_of(obj)
     if not may_be_large(settings) or _is_read_whole(settings):
         return 0
-    count = count_tiles(describe_heights(settings)["raster"])
+    count = count_tiles(size_of_heights(settings))
     return count if count >= MIN_TILES else 0
 
 

@@ -15,7 +15,7 @@ from adaptive_terrain.cbt_terrain.importing.source_list import files_of
 from adaptive_terrain.cbt_terrain.mosaic import catalogue
 from adaptive_terrain.cbt_terrain.mosaic.catalogue import FILE_NAME
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
-from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_info import describe_sources, size_of_heights
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from mosaic_files import EAST, NORTH, UTM32, settings_of, sheet
 from rasterio.crs import CRS
@@ -70,6 +70,7 @@ def test_info_reads_packed_tiles(packed, tmp_path):
     report = describe_sources(ImportSettings(str(tmp_path / "packed")))
     plain = describe_sources(ImportSettings(str(tmp_path / "plain")))
     assert report["raster"] == [80, 20] and report["west_south_east_north"] == plain["west_south_east_north"]
+    assert size_of_heights(ImportSettings(str(tmp_path / "packed"))) == (80, 20)
     more_mb = report["expected_disk_mb"] - plain["expected_disk_mb"]
     assert more_mb == pytest.approx(4 * 20 * 20 * 4 / 1e6, abs=0.11)
 
@@ -177,6 +178,7 @@ def test_options_of_several_files_hold_for_one_archive(archive, tmp_path):
     one = zipped(tmp_path / "one.zip", {"t0.tif": archive["north/t0.tif"], "view.png": b"no picture"})
     assert import_source(ImportSettings(str(one)), tmp_path / "store")["raster"] == [20, 20]
     assert describe_sources(ImportSettings(str(one)))["raster"] == [20, 20]
+    assert size_of_heights(ImportSettings(str(one))) == (20, 20)
     with pytest.raises(TerrainError, match="A step and a priority are of several files"):
         import_source(ImportSettings(str(one), step=20.0), tmp_path / "store")
 

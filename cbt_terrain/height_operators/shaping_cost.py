@@ -51,7 +51,8 @@ def costs_less_whole_than(lattice: Lattice, stack: Stack, folder: str, wanted: W
 def _costs_less_whole(lattice: Lattice, stack: Stack, tiles: Wanted, fraction: float = 1.0) -> bool:
     """Return whether the whole land costs at most as much as a fraction of the tiles with their margins.
 
-    They are equal where a raster is a single tile; the whole land then serves exports, too. Land of more than MAX_WHOLE
+    The costs are equal where a raster is a single tile. With a fraction of 1 the whole land is then preferred, since
+    exports can use it, too. Land of more than MAX_WHOLE
     samples a side is not made in one piece, so the result is False.
     """
     if max(lattice.width, lattice.height) > MAX_WHOLE:

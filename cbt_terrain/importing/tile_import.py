@@ -87,7 +87,8 @@ def do_part(part: ImportPart, wanted: TileWork, source: TileSource) -> dict:
     were read; the rest of the import writes the results into the arrays. While BEGIN or FILL runs, no other part may.
 
     The report has the number of "tiles", and with numbers of tiles also how many of these exist, as "done". wanted: the
-    work from its beginning, by which its folder is found.
+    description of the work before anything is done. A part that was done before has left its own description in the
+    folder, which then replaces it.
     """
     numbers, path, crew = part.numbers, wanted.folder.parent, Crew()
     if part.step in (BEGIN, FILL):

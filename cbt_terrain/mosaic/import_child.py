@@ -101,6 +101,7 @@ def run_mosaic_import(
         composite = open_composite(settings, path, lambda done: on_progress(SCANNED * done, READING), files)
         composite.on_piece = lambda: on_progress(*reached)  # may raise, which cancels the import
         raster = mosaic_raster(composite, settings)
+        # By the paths that an older version has recorded, a mosaic that has not changed is recognised.
         raster.earlier_paths = lambda: earlier_paths(path, settings)
         whole = replace(settings, quick=0)  # a quick import of few samples is complete, too
         is_whole = not settings.quick or stride_of(raster.width, raster.height, settings.quick) == 1

@@ -79,6 +79,7 @@ def _report(settings: ImportSettings, on_progress: Tell, files: UnpackedFiles, o
     composite = open_composite(
         settings, store=None, on_progress=lambda done: on_progress(SCANNED * done, READING), unpacked=files
     )
+    # Before each piece that is read, tell the parent that this process still works.
     composite.on_piece = lambda: on_progress(SCANNED, READING)
     try:
         raster = mosaic_raster(composite, settings)

@@ -50,6 +50,7 @@ def refinable_domain(
     meshlet: leaves are drawn as 4**meshlet triangles.
     """
     domain = make_domain(field, meshlet, height_scale, height_offset)
+    # For `lean` and `near`, by which plane coordinates count, see `Rounding`.
     domain.rounding, domain.lean, domain.max_lean = rounding.height, rounding.lean, rounding.max_lean
     domain.near_x, domain.near_y = rounding.near
     domain.enough = ENOUGH * (domain.rounding + domain.source)  # smaller errors are not refined further

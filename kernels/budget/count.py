@@ -177,11 +177,12 @@ def fetch_quadrants(domain: Domain, p: CellDiamond):
 def count(domain: Domain, criterion: CriterionArrays, w: Count):
     """Count the triangles of the slice by the last step at which they are split, into `w.last_steps`.
 
-    A step is a value of the relaxation, finest first; `w.limit_factors` has its factor on squared limits. Whenever more
-    than `max_splits` triangles are split at the finest step, the next step becomes the finest. The finest step at the
-    end is written to `w.from_step`; if it passes `w.coarsest`, the count ends early. `w.measured` receives the number
-    of measured diamonds, and `w.marks` the cell that was reached after every `w.spacing` of them, up to MARKS cells: by
-    them the next count is divided among threads. `w.slot` is the slice's number in these arrays.
+    A step is a value of the relaxation, finest first; `w.limit_factors` has its factor on squared limits. A triangle
+    that is split at a step is split at all finer ones, so its last step says all. Whenever more than `max_splits`
+    triangles are split at the finest step, the next step becomes the finest. The finest step at the end is written to
+    `w.from_step`; if it passes `w.coarsest`, the count ends early. `w.measured` receives the number of measured
+    diamonds, and `w.marks` the cell that was reached after every `w.spacing` of them, up to MARKS cells: by them the
+    next count is divided among threads. `w.slot` is the slice's number in these arrays.
     """
     no_slack = wp.float64(0.0)  # intervals need not hold for a camera that moves
     criterion.limit = w.limit_factors[w.coarsest]
@@ -221,7 +222,7 @@ def count(domain: Domain, criterion: CriterionArrays, w: Count):
                         fetch_quadrants(domain, p)
                         top += 1
                 number -= 1
-            # Too many: the next step becomes the finest.
+            # Too many: the next step becomes the finest, at which those with this last step are split no more.
             while total > w.max_splits and step <= w.coarsest:
                 total -= w.last_steps[w.slot * w.limit_factors.shape[0] + step]
                 step += 1

@@ -46,9 +46,10 @@ def raise_cells(
 ):
     """Set the error codes of cells to the largest old code of themselves and their four neighbours, translated.
 
-    The neighbours share the diamonds on a cell's sides. The thread works on cell `band_start + offset + tid`.
-    band_start: first cell of the band of rows that is raised, counted row by row from the south. old_cells: layout of
-    the array `old`. translated: for each old code the code of a quarter of its error in the new table (of a half on a
+    A cell's code also stands for the diamonds on its sides, one bisection deeper, and each of them lies in a neighbour,
+    too: so the neighbours' codes count. The thread works on cell `band_start + offset + tid`. band_start: first cell of
+    the band of rows that is raised, counted row by row from the south. old_cells, cells: layouts of the arrays `old`
+    and `codes`. translated: for each old code the code of a quarter of its error in the new table (of a half on a
     bicubic surface), rounded up.
     """
     p = diamond(cells, band_start + offset + wp.int64(wp.tid()))

@@ -192,7 +192,7 @@ def with_bound(
         if quantity == ERROR or quantity == METRES:
             t.total += error_below(domain, t, x, y, deepest)
     if quantity == ERROR and domain.bicubic == 0 and domain.detailed == 0:
-        # A leaf, or a triangle of the meshlet that is drawn for it, so many bisections deeper.
+        # A leaf, or a triangle of the meshlet that is drawn for it, 2 * levels - border_depth bisections deeper.
         if t.depth == deepest + 2 * domain.levels - domain.border_depth:
             t.is_drawn = wp.bool(True)
             t.drawn = t.apex
@@ -209,8 +209,8 @@ def with_bound(
         pixel2, is_small = finest_seen(domain, criterion, quantity == EDGE or quantity == AREA, d, t)
         t.is_small = t.is_small or is_small
     if t.leaf_depth == ANY:
-        # No leaf below exceeds the criterion: `allowed_m` is the largest error that it permits where footprints are
-        # finest. The ratio of error and footprint is largest there, or is the tolerance.
+        # No leaf below exceeds the criterion: with the finest footprint its error is at most `allowed_m`. With larger
+        # ones the ratio of error and footprint, which is what this bounds, is no larger than there or the tolerance.
         allowed_m = t.fixed + max_error_for(domain, wp.sqrt(tolerance2 * pixel2), t.fixed - domain.source)
         quantity2 = smaller(larger(allowed_m * allowed_m, tolerance2 * pixel2), quantity2)
     t.bound2 = wp.where(pixel2 < wp.float64(wp.inf), quantity2 / pixel2, UNSEEN)

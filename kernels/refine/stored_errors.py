@@ -310,10 +310,11 @@ def detail_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, lea
 
 @wp.func
 def bicubic_missed(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32, leaf_depth: wp.int32) -> wp.float32:
-    """Bound the error, metres before scaling, of leaves at `leaf_depth` in a diamond on a bicubic surface with tiles.
+    """Return the stored bound of the whole error of a diamond on a bicubic surface with finer tiles, or infinity.
 
-    It includes the raster's error and the displacement, and is infinite where no bound is stored: tiles have bounds
-    only of diamonds of up to 2^STORED_BITS finer cells a side. (x, y): where the diamond is split.
+    The bound, metres before scaling, is of leaves at `leaf_depth`: of the raster's heights and of the layers'
+    displacement. Only diamonds of up to 2^STORED_BITS finer cells a side have one. Callers take the smaller of it and
+    another bound, which infinity leaves as it is. (x, y): where the diamond is split.
     """
     bound = wp.float32(wp.inf)
     if domain.bicubic == 1 and domain.has_finer == 1:

@@ -91,7 +91,7 @@ class AccuracyReportPanel(TerrainSubpanel):
         except TerrainError as error:
             draw_message(column, str(error), "INFO")
             return
-        if os.path.isfile(page):  # which raises for no folder
+        if os.path.isfile(page):  # never raises
             column.operator("wm.path_open", text="Open Report", icon="URL").filepath = str(page)
 
 

@@ -11,7 +11,8 @@ from .verbs import UsageError, frame_reporter, largest_bound
 def run_prepare(arguments) -> None:
     """Run the verb `prepare`: import stores, shape land and bake maps that all frames need, before the farm's tasks.
 
-    Raises UsageError.
+    `--only` names one part of this work, such as "load" for the tiles in view; `--share 2/5` does the second fifth of
+    its tiles. Raises UsageError.
     """
     from ..blender import need_bpy
 
@@ -26,7 +27,7 @@ def run_prepare(arguments) -> None:
         raise UsageError(f"--only {arguments.only} needs --job-stores")
     scene, objects = open_scene(arguments.scene)
     parts = [arguments.only] if arguments.only else DEFAULT_PARTS
-    where = {"stores": arguments.job_stores, "share": arguments.share or (1, 1)}
+    where = {"stores": arguments.job_stores, "share": arguments.share or (1, 1)}  # 1/1: all tiles
     with Progress(len(parts) * len(objects), "prepare", arguments.progress) as bar:
         prepare(objects, arguments.frames or frames_of(scene), parts, bar.say, bar.to, **where)
 

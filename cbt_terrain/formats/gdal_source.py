@@ -25,7 +25,7 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, aux_file, named_crs
+from ..rasters.sidecars import allow_aux_file, aux_file, named_crs, sidecars
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
@@ -312,8 +312,8 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
     """Open the overview of a GeoTIFF that has one sample for `max_factor` (2, 4, 8 ...) samples along each side.
 
     Return None if the file has no such overview, if that is coarser than `max_factor` or has another type of samples,
-    and if the file has an .aux.xml. The caller closes it. The file was opened and checked before. width: columns of the
-    file. stored: type of its samples.
+    if the file has an .aux.xml, and if the mask beside it has no such overview. The caller closes it. The file was
+    opened and checked before. width: columns of the file. stored: type of its samples.
     """
     from rasterio.errors import RasterioIOError
 
@@ -324,14 +324,29 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
         warnings.simplefilter("ignore")  # its position, which takes long to read, is known
         try:
             small = open_dataset(path, "GTiff", OVERVIEW_LEVEL=level, GEOREF_SOURCES="NONE")
+            has_mask = _has_mask_overview(path, level, small.shape)
         except RasterioIOError:
             return None
         finally:
             ignore_neighbours()  # again: opening may have changed this, and a source of another tile may be a VRT
-    if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored:
+    if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored or not has_mask:
         small.close()
         return None
     return dataclasses.replace(_band_of(path, small, settings), close=small.close)
+
+
+def _has_mask_overview(path: Path, level: int, shape: tuple[int, int]) -> bool:
+    """Return whether masks beside a raster have an overview of this level and this shape, as (rows, columns).
+
+    True without a mask. GDAL takes all samples of an overview as valid if the mask has none of its shape, and gdaladdo
+    makes overviews of the raster alone. Raises rasterio's errors if a mask has no overview of this level.
+    """
+    masks = [file for file in sidecars(path) if file.name.lower() == f"{path.name.lower()}.msk"]
+    for mask in masks:
+        with open_dataset(mask, "GTiff", OVERVIEW_LEVEL=level) as small:
+            if small.shape != shape:
+                return False
+    return True
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:

@@ -134,9 +134,15 @@ def write_overviews(path, heights):
 AUX_NO_DATA = '<PAMDataset><PAMRasterBand band="1"><NoDataValue>7</NoDataValue></PAMRasterBand></PAMDataset>'
 
 
-@pytest.mark.parametrize("kind", [".msk", ".aux.xml", ".ovr", None])
-def test_files_beside_tiles_count_in_overviews(tmp_path, monkeypatch, kind):
-    """A mask or a no-data value of the eastern tile, or the overviews of both, are in files beside them."""
+@pytest.mark.parametrize(
+    ("kind", "mask_levels"),
+    [(".msk", [2, 4, 8]), (".msk", []), (".aux.xml", []), (".ovr", []), (None, [])],
+)
+def test_files_beside_tiles_count_in_overviews(tmp_path, monkeypatch, kind, mask_levels):
+    """A mask or a no-data value of the eastern tile, or the overviews of both, are in files beside them.
+
+    GDAL would take all samples as valid in overviews that the mask lacks.
+    """
     heights = np.full((512, 256), 7.0, np.float32)
     heights[:, :128] = 500.0
     for n in range(2):
@@ -150,7 +156,7 @@ def test_files_beside_tiles_count_in_overviews(tmp_path, monkeypatch, kind):
             with rasterio.open(tmp_path / "1.tif", "r+") as file:
                 file.write_mask(np.where(heights > 7.0, 255, 0).astype(np.uint8))
             with rasterio.open(tmp_path / "1.tif.msk", "r+") as file:
-                file.build_overviews([2, 4, 8], Resampling.nearest)
+                file.build_overviews(mask_levels, Resampling.nearest)
     if kind == ".aux.xml":
         (tmp_path / "1.tif.aux.xml").write_text(AUX_NO_DATA)
     assert kind is None or (tmp_path / f"1.tif{kind}").exists()

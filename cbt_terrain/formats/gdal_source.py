@@ -25,7 +25,7 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, aux_file, named_crs, sidecars
+from ..rasters.sidecars import allow_aux_file, aux_files, named_crs, sidecars
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
@@ -318,7 +318,7 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
     from rasterio.errors import RasterioIOError
 
     level = max_factor.bit_length() - 2  # overviews 0, 1, 2, ... should be 2, 4, 8, ... times coarser
-    if level < 0 or aux_file(path) is not None:  # GDAL ignores its no-data value in overviews
+    if level < 0 or aux_files(path):  # GDAL ignores its no-data value in overviews
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its position, which takes long to read, is known

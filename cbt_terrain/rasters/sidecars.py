@@ -22,6 +22,7 @@ SUFFIXES = (
     *(".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX),
     *(".hdr", ".stx", ".clr", ".ovr", ".msk", ".sgrd", ".ige", ".rrd", ".j2w", ".wpw", ".blw"),
     *(".bilw", ".bipw", ".bqw", ".bsqw", ".fltw", ".demw", ".jp2w", ".webpw"),  # world files by GDAL's rule
+    *(".idx", ".msk.ovr", f".msk{AUX}"),  # messages of a GRIB; overviews and flags of a mask
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 LAST_LETTER = chr(sys.maxunicode)  # in the order of texts, after all letters of names
@@ -131,33 +132,33 @@ def allow_aux_file(path: Path) -> list[str]:
     """
     from rasterio.env import setenv
 
-    file = aux_file(path)
-    if file is None:
-        return []
+    files, main = aux_files(path), aux_file(path)
     try:
-        for each in [file, *_inner_aux_files(path)]:
-            read_aux(each)
+        for file in files:
+            read_aux(file)
     except TerrainError as reason:
         return [f"{reason} Its position, no-data, scale, offset and unit are not used."]
-    if file.name != path.name + AUX:  # GDAL may find only the file that was checked
+    if main is not None and main.name != path.name + AUX:  # GDAL may find only the file that was checked
         return [
-            f"{shown(file)} is named otherwise than {shown(path.name)} in upper or lower case, so only its coordinate "
+            f"{shown(main)} is named otherwise than {shown(path.name)} in upper or lower case, so only its coordinate "
             f"system is read, not its position, no-data, scale, offset and unit: rename it to {shown(path.name)}{AUX}."
         ]
-    setenv(GDAL_PAM_ENABLED="YES")
+    if files:
+        setenv(GDAL_PAM_ENABLED="YES")
     return []
 
 
-def _inner_aux_files(path: Path) -> list[Path]:
-    """Return the .aux.xml files of a raster's masks and overviews, whatever the case of their suffixes.
+def aux_files(path: Path) -> list[Path]:
+    """Return the .aux.xml files of a raster, its masks and its overviews, the raster's own first.
 
-    None is found in a folder that cannot be listed.
+    Of several of the raster itself, in upper and lower case, only the one of `aux_file` counts. Those of masks and
+    overviews are not found in a folder that cannot be listed.
     """
-    start = path.name.lower() + "."
+    main, start, inner = aux_file(path), path.name.lower() + ".", []
     with contextlib.suppress(OSError):
         names = [name for name in _names_from(path, start) if name.lower().endswith(AUX)]
-        return [path.with_name(name) for name in names if name.lower() != start + AUX[1:]]
-    return []
+        inner = [path.with_name(name) for name in names if name.lower() != start + AUX[1:]]
+    return [main, *inner] if main is not None else inner
 
 
 def named_crs(path: Path, notes: list[str]) -> CRS | None:

@@ -10,6 +10,7 @@ import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
 from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.rasters.sidecars import MAX_BYTES, is_alone, sidecars
 from rasterio.crs import CRS
@@ -133,6 +134,25 @@ def test_a_mask_beside_any_raster_counts(tmp_path):
         shutil.copy(tmp_path / "mask.tif", f"{files[-1]}.msk")
     wanted = ["read", [WIDTH, HEIGHT, float(heights[mask > 0].sum()), 2]]
     assert dict(zip(MASKED, read_in_sandbox(files), strict=True)) == dict.fromkeys(MASKED, wanted)
+
+
+def test_flags_of_a_mask_in_its_aux_file_count(tmp_path):
+    """They tell GDAL that a file is a mask."""
+    heights, mask = heights_16_bit(), np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[1, 2:4] = 0
+    for n in range(2):
+        place = from_origin(6e5 + 10 * WIDTH * n, 5.2e6, 10, 10)
+        write_raster(tmp_path / f"{n}.tif", heights, crs=UTM, transform=place)
+        write_raster(tmp_path / "mask.tif", mask).rename(tmp_path / f"{n}.tif.msk")
+    digests = {source_digest(ImportSettings(str(tmp_path / "0.tif")))}
+    flags = '<PAMDataset><Metadata><MDI key="INTERNAL_MASK_FLAGS_1">2</MDI></Metadata></PAMDataset>'
+    (tmp_path / "0.tif.msk.aux.xml").write_text(flags)
+    digests.add(source_digest(ImportSettings(str(tmp_path / "0.tif"))))
+    assert len(digests) == 2
+    [(kind, (*_, missing))] = read_in_sandbox([tmp_path / "0.tif"])
+    assert (kind, missing) == ("read", 2)
+    report = run_mosaic_import(ImportSettings(str(tmp_path), holes=True), tmp_path / "store")
+    assert report["cut_out"] == 2
 
 
 def test_a_system_of_an_aux_file_names_no_file(tmp_path):

@@ -34,7 +34,7 @@ from ..run.owned_files import NotOursError
 
 MAX_MEMBERS = 10_000
 MAX_BYTES = 1 << 33  # of an unpacked file: more than the largest raster
-MAX_SIDECAR_BYTES = 16 << 20
+MAX_SIDECAR_BYTES = dict.fromkeys(SUFFIXES, 16 << 20) | {".msk": MAX_BYTES, ".ige": MAX_BYTES}  # these two have samples
 MAX_UNPACKED_BYTES = 1 << 31  # of the unpacked files of a mosaic: more than a row of tiles across the largest raster
 PIECE = 1 << 20
 IGNORED = ("__MACOSX/",)
@@ -351,13 +351,13 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
 
 
 def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.ZipInfo, ...]:
-    """Return the members that belong to a height map, without those of more than MAX_SIDECAR_BYTES.
+    """Return the members that belong to a height map, without too large ones.
 
     beside: names in its folder in small letters, each with a dictionary from exact names to members.
     """
     starts = {name.name.lower(), name.stem.lower()}
-    found = [beside.get(start + suffix, {}).values() for start in starts for suffix in SUFFIXES]
-    return tuple(info for infos in found for info in infos if info.file_size <= MAX_SIDECAR_BYTES)
+    found = [(suffix, beside.get(start + suffix, {})) for start in starts for suffix in SUFFIXES]
+    return tuple(m for suffix, cases in found for m in cases.values() if m.file_size <= MAX_SIDECAR_BYTES[suffix])
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:

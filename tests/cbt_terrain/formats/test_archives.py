@@ -7,6 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
+import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.store import open_store
@@ -69,10 +70,21 @@ def test_files_beside_the_height_map_come_with_it(tmp_path):
     assert report["format"] == "GSBG" and report["filled"] == 1
 
 
+def test_a_large_mask_in_an_archive_counts(tmp_path):
+    """Other files beside a height map may have 16 MB. Samples of a mask or of an Erdas Imagine may have more."""
+    heights, side = np.rint(hills(40, 30)).astype(np.int16), 4200
+    large = {"height": side, "width": side, "count": 1, "dtype": "uint8"}
+    with rasterio.open(tmp_path / "a.tif.msk", "w", driver="GTiff", **large) as mask:
+        mask.update_tags(INTERNAL_MASK_FLAGS_1="2")
+        mask.write(np.full((30, 25), 255, np.uint8), 1, window=((0, 30), (0, 25)))
+    assert (tmp_path / "a.tif.msk").stat().st_size > 1 << 24
+    files = {"a.tif": write_raster(tmp_path / "a.tif", heights, **PLACE).read_bytes()}
+    source = zipped(tmp_path / "a.zip", files | {"a.tif.msk": (tmp_path / "a.tif.msk").read_bytes()})
+    assert imported(tmp_path, source, holes=True)[1]["cut_out"] == 30 * 15
+
+
 def open_crs(folder):
     """Return the WKT of UTM zone 12."""
-    import rasterio
-
     with rasterio.open(write_raster(folder / "crs.tif", hills(3, 3), **PLACE)) as dataset:
         return dataset.crs.to_wkt()
 

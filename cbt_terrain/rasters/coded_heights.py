@@ -97,9 +97,12 @@ def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> Dataset
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
-    masked = MaskFlags.per_dataset in dataset.mask_flag_enums[0]  # by an alpha band or a file beside it (.msk)
+    # by an alpha band or a file beside it (.msk), not by a value of one colour
+    masked = not {MaskFlags.all_valid, MaskFlags.nodata} & {*dataset.mask_flag_enums[0]}
     shape = {"width": dataset.width, "height": dataset.height, "count": 1, "dtype": "uint32"}
+    points, system = dataset.gcps
     place = {"crs": dataset.crs, "transform": dataset.transform}
+    place = {"crs": system, "gcps": points} if points and dataset.transform.is_identity else place
     tile = tile_of(path)
     # A web map tile that has no position itself has one by its path.
     if tile is not None and dataset.transform.is_identity and dataset.width == dataset.height:

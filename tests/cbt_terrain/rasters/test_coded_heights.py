@@ -64,16 +64,27 @@ def test_a_tile_has_its_heights_and_its_place(tmp_path, encoding):
     assert report["step_m"] == pytest.approx([2 * half / SIDE] * 2)
 
 
-def test_a_mask_beside_a_tile_counts(tmp_path):
+@pytest.mark.parametrize("bands, flags", [(1, "2"), (3, "0")], ids=["one for all bands", "one for each band"])
+def test_a_mask_beside_a_tile_counts(tmp_path, bands, flags):
     source = tile(tmp_path, "terrarium")
-    mask = np.full((1, SIDE, SIDE), 255, np.uint8)
-    mask[0, 5, 7:11] = 0
+    mask = np.full((bands, SIDE, SIDE), 255, np.uint8)
+    mask[:, 5, 7:11] = 0
     beside = write_image(tmp_path / "mask.tif", mask, driver="GTiff")
     with rasterio.open(beside, "r+") as file:
-        file.update_tags(INTERNAL_MASK_FLAGS_1="2", INTERNAL_MASK_FLAGS_2="2", INTERNAL_MASK_FLAGS_3="2")
+        file.update_tags(INTERNAL_MASK_FLAGS_1=flags, INTERNAL_MASK_FLAGS_2=flags, INTERNAL_MASK_FLAGS_3=flags)
     beside.rename(f"{source}.msk")
     raster = open_source(ImportSettings(str(source)))
     assert np.array_equal(np.isnan(raster.read(0, SIDE)), mask[0] == 0)
+
+
+def test_control_points_place_coded_heights(tmp_path):
+    source = write_image(tmp_path / "a.png", colours(mountain(), "mapbox"))
+    corners = ((0, 0), (SIDE, 0), (0, SIDE))
+    points = "".join(f'<GCP Id="" Pixel="{c}" Line="{r}" X="{6e5 + 10 * c}" Y="{5.2e6 - 20 * r}"/>' for c, r in corners)
+    gcps = f'<PAMDataset><GCPList Projection="EPSG:32632">{points}</GCPList></PAMDataset>'
+    (tmp_path / "a.png.aux.xml").write_text(gcps)
+    report = imported(tmp_path, source, encoding="mapbox")[1]
+    assert (report["step_m"], report["crs"], report["warnings"]) == ([10.0, 20.0], "EPSG:32632", [])
 
 
 @pytest.mark.parametrize("encoding", STEPS)

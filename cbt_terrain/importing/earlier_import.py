@@ -19,6 +19,7 @@ from .source_list import absolute_source, file_stat, files_of, may_name_several,
 
 METHOD = 2  # increased when the same source gives a different store
 RESAMPLING = 1  # increased when the same reprojected file gives a different store
+MASKS = 1  # increased when the same mask beside a file (.msk) gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
 ADDED_SETTINGS = (
     *("more_sources", "priority", "step", "blend"),
@@ -106,6 +107,7 @@ def source_digest(
             check_named(file)
             name, size, changed_ns = file_stat(file)
             parts.append((paths.get(name, name), size, changed_ns))
+        parts += [{"masks": MASKS}] if any(map(_is_mask, sources)) else []
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
     # One file: the files that belong to it (sidecars) count as well.
     parts += [RESAMPLING] if settings.project else []
@@ -114,7 +116,14 @@ def source_digest(
     if settings.source not in LANDS:
         source = Path(settings.source)
         check_file(source)
-        for file in [source, *sidecars(source), *sources]:
+        files = [source, *sidecars(source), *sources]
+        parts += [{"masks": MASKS}] if any(map(_is_mask, files)) else []
+        for file in files:
             if os.path.isfile(file):  # Path.is_file raises if the suffix makes a name too long
                 parts.append(file_stat(file.resolve()))
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _is_mask(path: Path) -> bool:
+    """Return whether a file beside a raster is its mask, by its name."""
+    return path.suffix.lower() == ".msk"

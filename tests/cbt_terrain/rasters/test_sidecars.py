@@ -3,12 +3,14 @@
 
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.formats.sources import open_source
+from adaptive_terrain.cbt_terrain.importing import earlier_import
 from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -153,6 +155,22 @@ def test_flags_of_a_mask_in_its_aux_file_count(tmp_path):
     assert (kind, missing) == ("read", 2)
     report = run_mosaic_import(ImportSettings(str(tmp_path), holes=True), tmp_path / "store")
     assert report["cut_out"] == 2
+
+
+def test_stores_that_ignore_a_mask_are_replaced(tmp_path, monkeypatch):
+    """Older versions ignored most masks. Stores of files without one stay as they are."""
+    plain = write_raster(tmp_path / "plain.tif", heights_16_bit())
+    masked = write_raster(tmp_path / "masked.png", heights_16_bit())
+    write_raster(tmp_path / "mask.tif", np.ones((HEIGHT, WIDTH), np.uint8)).rename(f"{masked}.msk")
+    now = [source_digest(ImportSettings(str(source))) for source in (plain, masked)]
+    monkeypatch.setattr(earlier_import, "MASKS", 0)
+    before = [source_digest(ImportSettings(str(source))) for source in (plain, masked)]
+    assert now[0] == before[0] and now[1] != before[1]
+    several = ImportSettings(str(plain), more_sources=(str(masked),))
+    files = Path(f"{masked}.msk"), masked
+    before = [source_digest(several, files[n:]) for n in range(2)]
+    monkeypatch.undo()
+    assert source_digest(several, files) != before[0] and source_digest(several, files[1:]) == before[1]
 
 
 def test_a_system_of_an_aux_file_names_no_file(tmp_path):

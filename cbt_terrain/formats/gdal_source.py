@@ -25,7 +25,7 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, aux_files, named_crs, sidecars
+from ..rasters.sidecars import allow_aux_file, aux_files, mask_files, mask_notes, named_crs
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
@@ -142,6 +142,7 @@ def raster_of(
     if vrt is not None:
         roundings = mosaic_roundings(vrt.mosaic, band, str(stored), lambda *file_band: vrt.roundings.get(file_band))
         notes += mosaic_notes(vrt.mosaic, band, lambda *file_band: vrt.scales.get(file_band))
+        notes += mask_notes([path, *vrt.mosaic.sources])
     if grid.problem and settings.extent is None:
         notes.append(
             f"The file {grid.problem}: a sample is taken as 1 m, and the first row as the north. Give the extent in "
@@ -341,8 +342,7 @@ def _has_mask_overview(path: Path, level: int, shape: tuple[int, int]) -> bool:
     True without a mask. GDAL takes all samples of an overview as valid if the mask has none of its shape, and gdaladdo
     makes overviews of the raster alone. Raises rasterio's errors if a mask has no overview of this level.
     """
-    masks = [file for file in sidecars(path) if file.name.lower() == f"{path.name.lower()}.msk"]
-    for mask in masks:
+    for mask in mask_files(path):
         with open_dataset(mask, "GTiff", OVERVIEW_LEVEL=level) as small:
             if small.shape != shape:
                 return False

@@ -10,6 +10,7 @@ import functools
 import os
 import re
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from xml.parsers import expat
 
@@ -159,6 +160,24 @@ def aux_files(path: Path) -> list[Path]:
         names = [name for name in _names_from(path, start) if name.lower().endswith(AUX)]
         inner = [path.with_name(name) for name in names if name.lower() != start + AUX[1:]]
     return [main, *inner] if main is not None else inner
+
+
+def mask_files(path: Path) -> list[Path]:
+    """Return the masks beside a raster, such as dem.tif.msk, whatever the case of their suffix."""
+    return [file for file in sidecars(path) if file.name.lower() == f"{path.name.lower()}.msk"]
+
+
+def mask_notes(paths: Iterable[Path]) -> list[str]:
+    """Return a warning about masks beside a VRT and its sources, which no import reads; [] without any."""
+    masks = [mask for path in paths for mask in mask_files(path)]
+    if not masks:
+        return []
+    which = f"The mask {shown(masks[0].name)} is" if len(masks) == 1 else f"{len(masks):,} masks are"
+    such = "" if len(masks) == 1 else f", such as {shown(masks[0].name)}"
+    return [
+        f"{which} beside the VRT or its sources{such}, and such files are not read: import the sources themselves, or "
+        "write masks into them (gdal_translate --config GDAL_TIFF_INTERNAL_MASK YES)."
+    ]
 
 
 def named_crs(path: Path, notes: list[str]) -> CRS | None:

@@ -157,6 +157,17 @@ def test_flags_of_a_mask_in_its_aux_file_count(tmp_path):
     assert report["cut_out"] == 2
 
 
+def test_a_vrt_warns_of_masks_beside_its_sources(tmp_path):
+    """GDAL's VRTs of masked files name these masks, but a VRT must not lead to files that were not checked."""
+    place = {"crs": UTM, "transform": from_origin(6e5, 5.2e6, 10, 10)}
+    source = write_raster(tmp_path / "a.tif", heights_16_bit(), **place)
+    copy(source, tmp_path / "b.vrt", driver="VRT")
+    assert not open_source(ImportSettings(str(tmp_path / "b.vrt"))).warnings
+    write_raster(tmp_path / "mask.tif", np.ones((HEIGHT, WIDTH), np.uint8)).rename(f"{source}.msk")
+    [warning] = open_source(ImportSettings(str(tmp_path / "b.vrt"))).warnings
+    assert warning.startswith("The mask a.tif.msk is beside the VRT or its sources, and such files are not read")
+
+
 def test_stores_that_ignore_a_mask_are_replaced(tmp_path, monkeypatch):
     """Older versions ignored most masks. Stores of files without one stay as they are."""
     plain = write_raster(tmp_path / "plain.tif", heights_16_bit())

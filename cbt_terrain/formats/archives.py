@@ -2,7 +2,7 @@
 """Height maps in a .zip or .gz, unpacked by Python into a folder of the store while they are imported.
 
 GDAL's own reader of archives is not used, since a name in one could lead around the list of drivers. Names and sizes
-are checked before anything is unpacked. Files with the name of a height map in a .zip, such as .prj, come with it.
+are checked before anything is unpacked. Files that belong to a height map (.prj) are unpacked or copied with it.
 A .zip of several tiles is a mosaic: each tile has the path of the archive with the tile's name in it, as a.zip/b.tif.
 """
 
@@ -25,18 +25,18 @@ from ..errors import MAX_NAME_BYTES, TerrainError, shown
 from ..field import store_folder
 from ..rasters.coded_heights import tile_of
 from ..rasters.raster import ImportSettings
-from ..rasters.sidecars import SUFFIXES
+from ..rasters.sidecars import SUFFIXES, sidecars
 from ..rasters.source_formats import FORMATS, SourceFormat
 from ..rasters.tile_names import is_tile
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular
 from ..run.owned_files import NotOursError
 
-MAX_MEMBERS = 10_000
+MAX_MEMBERS, PIECE = 10_000, 1 << 20  # files in a .zip; bytes that are copied at once
 MAX_BYTES = 1 << 33  # of an unpacked file: more than the largest raster
-MAX_SIDECAR_BYTES = dict.fromkeys(SUFFIXES, 16 << 20) | {".msk": MAX_BYTES, ".ige": MAX_BYTES}  # these two have samples
+MAX_SIDECAR_BYTES = 16 << 20
+WITH_SAMPLES = {".msk": MAX_BYTES, ".ige": MAX_BYTES}  # sidecars that may have more, by suffix
 MAX_UNPACKED_BYTES = 1 << 31  # of the unpacked files of a mosaic: more than a row of tiles across the largest raster
-PIECE = 1 << 20
 IGNORED = ("__MACOSX/",)
 NO_MEMBERS = b"PK\5\6" + bytes(18)  # a whole .zip without members
 NO_HEIGHT_MAP = "archive.no_height_map"  # code of the error about an archive of other files
@@ -229,6 +229,10 @@ def _unpack(path: Path, folder: Path) -> Path:
             for info in member.sidecars:
                 with _opened(file, info) as source:
                     _copy(outer, source, folder / PurePosixPath(info.filename).name, info.file_size)
+        for beside in sidecars(path) if member.info is None else ():
+            with open_regular(beside, links=True) as other:
+                if beside.stat().st_size <= WITH_SAMPLES.get(beside.suffix.lower(), MAX_SIDECAR_BYTES):
+                    _copy(path, other, folder / beside.name, MAX_BYTES)
     except FAULTS as reason:
         raise _damaged(outer, reason) from reason
     return target
@@ -252,10 +256,7 @@ def _opened(file: IO[bytes], info: zipfile.ZipInfo | None) -> Iterator[IO[bytes]
 
 
 def _copy(path: Path, source: IO[bytes] | gzip.GzipFile, target: Path, max_bytes: int) -> None:
-    """Copy all of `source` into a new file. Raises TerrainError beyond `max_bytes` or the free bytes of the disk.
-
-    path: the archive, for the error.
-    """
+    """Copy `source` into a new file. Raises TerrainError about `path` beyond `max_bytes` or the disk's free bytes."""
     free, size = shutil.disk_usage(target.parent).free, 0
     with target.open("xb") as file:
         while piece := source.read(PIECE):
@@ -329,8 +330,7 @@ def _members_of(path: Path, _size: int, _changed_ns: int) -> dict[str, Member]:
 def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
     """Return the only height map of a .zip, or its tiles (tile_names.py) if it has several, by their names in it.
 
-    Raises TerrainError for unsafe members, for none or several height maps of which none is a tile (`_no_terrain`), and
-    for one of more than MAX_BYTES.
+    Raises TerrainError for unsafe members, one of more than MAX_BYTES, no height map, and several that are no tiles.
     """
     beside: dict[PurePosixPath, dict[str, dict]] = {}  # folder, then name in small letters, then name: its member
     for info in members:
@@ -351,13 +351,14 @@ def _choose(path: Path, members: list[zipfile.ZipInfo]) -> dict[str, Member]:
 
 
 def _sidecars(name: PurePosixPath, beside: dict[str, dict]) -> tuple[zipfile.ZipInfo, ...]:
-    """Return the members that belong to a height map, without too large ones.
+    """Return the members that belong to a height map, without those that are too large for their suffix.
 
     beside: names in its folder in small letters, each with a dictionary from exact names to members.
     """
     starts = {name.name.lower(), name.stem.lower()}
-    found = [(suffix, beside.get(start + suffix, {})) for start in starts for suffix in SUFFIXES]
-    return tuple(m for suffix, cases in found for m in cases.values() if m.file_size <= MAX_SIDECAR_BYTES[suffix])
+    limits = {suffix: WITH_SAMPLES.get(suffix, MAX_SIDECAR_BYTES) for suffix in SUFFIXES}
+    found = [(limits[suffix], beside.get(start + suffix, {})) for start in starts for suffix in SUFFIXES]
+    return tuple(info for limit, members in found for info in members.values() if info.file_size <= limit)
 
 
 def _check_member(path: Path, info: zipfile.ZipInfo) -> None:
@@ -384,8 +385,7 @@ def _importable(name: PurePosixPath | Path) -> SourceFormat | None:
 def _no_terrain(path: Path, maps: Sequence[PurePosixPath], packed: Sequence[PurePosixPath] = ()) -> TerrainError:
     """Return the error about an archive without a height map, or with several that are not tiles.
 
-    maps: its height maps. packed: its archives and mosaics, which may lead to heights. With neither, it has the code
-    NO_HEIGHT_MAP.
+    maps: its height maps. packed: its archives and mosaics, which may lead to heights; NO_HEIGHT_MAP without both.
     """
     names, code = shown(", ".join(map(str, maps or packed)), 120), ""
     if maps:

@@ -32,7 +32,11 @@ _SYSTEM = re.compile(r"(?:[A-Z_]+:\w{1,16}|[A-Z_]+\s*\[.*)?", re.DOTALL)
 
 
 def sidecars(path: Path) -> list[Path]:
-    """Return the files beside a raster that may belong to it, whatever the case of their suffix."""
+    """Return the files beside a raster that may belong to it, whatever the case of their suffix.
+
+    Those of dem.tif.gz have the names of those of dem.tif.
+    """
+    path = path.with_suffix("") if path.suffix.lower() == ".gz" else path
     stem, name = path.stem.lower(), path.name.lower()
     wanted = {start + suffix for start in (stem, name) for suffix in SUFFIXES} - {name}
     try:

@@ -13,6 +13,7 @@ from adaptive_terrain.cbt_terrain.field import store_folder
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.formats import archives
 from adaptive_terrain.cbt_terrain.importing import build_store
+from adaptive_terrain.cbt_terrain.importing.earlier_import import source_digest
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.importing.source_info import describe_source
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -68,6 +69,28 @@ def test_files_beside_the_height_map_come_with_it(tmp_path):
     grid = write_surfer6(tmp_path / "s.grd", heights(), *METRES).read_bytes()
     report = import_source(ImportSettings(str(zipped(tmp_path / "s.zip", {"s.grd": grid}))), tmp_path / "store")
     assert report["format"] == "GSBG" and report["filled"] == 1
+
+
+def test_files_beside_a_gzipped_height_map_count(tmp_path):
+    """A mask and a coordinate system beside dem.asc.gz count like those beside dem.asc, and a change of them, too."""
+    heights = np.rint(hills(9, 7)).astype(int)
+    rows = "\n".join(" ".join(map(str, row)) for row in heights)
+    text = f"ncols 9\nnrows 7\nxllcorner 500000\nyllcorner 4000000\ncellsize 30\n{rows}\n"
+    (tmp_path / "in").mkdir()
+    source = tmp_path / "in" / "dem.asc.gz"
+    source.write_bytes(gzip.compress(text.encode()))
+    (tmp_path / "in" / "dem.prj").write_text(open_crs(tmp_path))
+    _, report = imported(tmp_path, source, holes=True)
+    assert (report["crs"], report["cut_out"]) == ("EPSG:32612", 0)
+    before = source_digest(ImportSettings(str(source)))
+    mask = write_raster(tmp_path / "mask.tif", np.where(heights > np.median(heights), 255, 0).astype(np.uint8))
+    with rasterio.open(mask, "r+") as file:
+        file.update_tags(INTERNAL_MASK_FLAGS_1="2")
+    mask.rename(tmp_path / "in" / "dem.asc.msk")
+    (tmp_path / "in" / "dem.asc.ovr").write_bytes(bytes((1 << 24) + 1))  # is left out
+    assert source_digest(ImportSettings(str(source))) != before
+    report = import_source(ImportSettings(str(source), holes=True), tmp_path / "store")
+    assert (report["crs"], report["cut_out"]) == ("EPSG:32612", (heights <= np.median(heights)).sum())
 
 
 def test_a_large_mask_in_an_archive_counts(tmp_path):

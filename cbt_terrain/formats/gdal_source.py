@@ -25,7 +25,7 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, aux_files, mask_files, mask_notes, named_crs
+from ..rasters.sidecars import allow_aux_file, aux_files, mask_files, mask_notes, named_crs, unread_mask_notes
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
@@ -104,6 +104,7 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
             return raster_of(path, vrt.dataset, settings, form.driver, vrt=vrt)
         notes = allow_aux_file(path)
         original = open_file(path, form)
+        notes += unread_mask_notes(path, original)
         dataset = decode_if_coded(path, original, settings)
     if dataset is not original:  # the copy has one band
         settings = dataclasses.replace(settings, band=1)

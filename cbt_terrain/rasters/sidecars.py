@@ -16,7 +16,7 @@ from xml.parsers import expat
 
 from ..errors import TerrainError, shown
 from ..run.named_file import read_start
-from .rasterio_types import CRS
+from .rasterio_types import CRS, DatasetReader
 
 AUX = ".aux.xml"
 SUFFIXES = (
@@ -181,6 +181,19 @@ def mask_notes(paths: Iterable[Path]) -> list[str]:
     return [
         f"{which} beside the VRT or its sources{such}, and such files are not read: import the sources themselves, or "
         "write masks into them (gdal_translate --config GDAL_TIFF_INTERNAL_MASK YES)."
+    ]
+
+
+def unread_mask_notes(path: Path, dataset: DatasetReader) -> list[str]:
+    """Return a warning about a mask beside a raster that GDAL does not read as one; [] without any."""
+    from rasterio.enums import MaskFlags
+
+    masks = mask_files(path)
+    if not masks or not all({MaskFlags.all_valid, MaskFlags.nodata} & {*flags} for flags in dataset.mask_flag_enums):
+        return []
+    return [
+        f"{shown(masks[0].name)} hides no samples, because it is no mask that GDAL reads: get it again, or give it the "
+        "metadata item INTERNAL_MASK_FLAGS_1=2 (gdal_edit.py -mo)."
     ]
 
 

@@ -157,6 +157,22 @@ def test_flags_of_a_mask_in_its_aux_file_count(tmp_path):
     assert report["cut_out"] == 2
 
 
+@pytest.mark.parametrize("kind", ["no flags", "damaged", "empty", "mask"])
+def test_a_mask_that_is_not_read_is_warned_about(tmp_path, kind):
+    place = {"crs": UTM, "transform": from_origin(6e5, 5.2e6, 10, 10)}
+    source = write_raster(tmp_path / "a.tif", heights_16_bit(), nodata=0, **place)
+    mask = write_raster(tmp_path / "mask.tif", np.zeros((HEIGHT, WIDTH), np.uint8))
+    if kind == "mask":
+        with rasterio.open(mask, "r+") as file:
+            file.update_tags(INTERNAL_MASK_FLAGS_1="2")
+    cut = {"damaged": 100, "empty": 0}.get(kind)
+    (tmp_path / "a.tif.msk").write_bytes(mask.read_bytes()[:cut])
+    raster = open_source(ImportSettings(str(source)))
+    assert np.isnan(raster.read(0, HEIGHT)).all() == (kind == "mask")
+    expected = [] if kind == "mask" else ["a.tif.msk hides no samples"]
+    assert [text.split(",")[0] for text in raster.warnings] == expected
+
+
 def test_a_vrt_warns_of_masks_beside_its_sources(tmp_path):
     """GDAL's VRTs of masked files name these masks, but a VRT must not lead to files that were not checked."""
     place = {"crs": UTM, "transform": from_origin(6e5, 5.2e6, 10, 10)}

@@ -125,7 +125,19 @@ def sight_notice(context, obj) -> tuple[str, str, str]:
             return SEES_NOTHING, *to_view
         if sight.is_cut_off(box, view):
             return "Camera cuts it off", FRAME, "Frame"
+        if _no_ground_was_in(view, obj):
+            return SEES_NOTHING, *to_view
     return "", "", ""
+
+
+def _no_ground_was_in(view, obj) -> bool:
+    """Return whether the last update was for this view alone and met no ground.
+
+    The box of a terrain may be in a frame which its ground is not in, such as that of a camera between two summits.
+    """
+    status = session.record_of(obj).status
+    keys = [shown.key() for shown in status.request.views] if status.mode else []
+    return keys == [view.key()] and status.bounds.bound_px == 0.0
 
 
 def has_view(context, obj) -> bool:

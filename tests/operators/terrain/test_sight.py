@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Visibility of a terrain's box from a camera, and the necessary clip range."""
 
+import math
 from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, View
+from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain import frame_terrain, sight
 from adaptive_terrain.operators.ui.status_row import draw_status, sight_notice
 from blender_meshes import positions
@@ -52,8 +54,6 @@ def test_round_numbers():
 
 def test_the_box_is_that_of_the_mesh(scene, add_terrain):
     """The box of a rotated, stretched, mirrored and moved terrain contains all vertices and fits within the relief."""
-    from adaptive_terrain.operators.session import session
-
     terrain = add_terrain()
     terrain.location, terrain.rotation_euler, terrain.scale = (500.0, -200.0, 30.0), (0.3, 0.2, 0.7), (2.0, -1.0, 3.0)
     settings = terrain.adaptive_terrain
@@ -104,6 +104,31 @@ def test_a_camera_that_sees_nothing_gives_a_notice(scene, add_terrain):
     assert sight_notice(bpy.context, terrain)[0] == "Camera underground"
     scene.camera = None
     assert sight_notice(bpy.context, terrain) == ("", "", "")
+
+
+def test_a_camera_in_the_box_may_see_no_ground(scene, add_terrain):
+    """A camera at the border, higher than the ground there and lower than the summit, looks outwards."""
+    terrain, camera = add_terrain(), scene.camera
+    session.update_object(terrain)
+    highest = positions(terrain)[:, 2].max()
+    corner = np.array(terrain.bound_box).max(axis=0)
+    camera.location = corner[0] - 1.0, 0.0, 0.9 * highest
+    camera.rotation_euler = math.pi / 2, 0.0, -math.pi / 2
+    for turn, notice in ((-math.pi / 2, "Camera sees nothing"), (math.pi / 2, "")):
+        camera.rotation_euler.z = turn
+        bpy.context.view_layer.update()
+        assert sight.is_in_sight(sight.box_of(terrain), sight.view_of_camera(scene, camera))
+        assert sight_notice(bpy.context, terrain)[0] == "", "the last update was for another view"
+        session.update_object(terrain)
+        assert sight_notice(bpy.context, terrain)[0] == notice
+
+
+def test_flat_ground_is_in_sight(scene, add_terrain):
+    terrain = add_terrain()
+    terrain.adaptive_terrain.vertical_scale = 1e-30
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert sight_notice(bpy.context, terrain)[0] == ""
 
 
 def test_a_remedy_that_moves_no_camera_comes_first(scene, add_terrain):

@@ -77,9 +77,13 @@ def submit(
         tiles.append(_add_terrain(obj, height_maps, folders, outputs, shared_disk))
         notes += _import_notes(obj, tiles[-1])
         if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
-            notes.append(f"the store of {obj.name} is not beside the file: workers need it at {store_folder_of(obj)}")
+            notes.append(
+                f"the store of {obj.name} is not beside the file: workers that get no copy of it need it at "
+                f"{store_folder_of(obj)}, or press Pack Store Beside File"
+            )
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
-        notes.append(f"{len(outside):,} from outside the scene's folder go with the job: {named_some(outside)}")
+        noun = "file or folder" if len(outside) == 1 else "files and folders"
+        notes.append(f"the job brings {len(outside):,} {noun} from outside the scene's folder: {named_some(outside)}")
     for folder in [] if formats else output_folders(scene):
         if folder.is_relative_to(blend.parent) or folder.is_relative_to(out):
             outputs.append(folder)

@@ -114,7 +114,8 @@ def test_files_in_the_folder_of_the_scene_need_none(submit, shot):
     link_library(shot.parent / "assets" / "rig.blend")
     load_text(shot.parent / "driver.py")
     code, output, inputs = submit()
-    assert code == 0 and "go with the job" in output and "rig.blend" not in output
+    assert code == 0 and "rig.blend" not in output
+    assert "note: the job brings 1 file or folder from outside the scene's folder: " in output
     assert {str(shot.parent / "assets" / "rig.blend"), str(shot.parent / "driver.py")} <= set(inputs["filenames"])
 
 
@@ -124,7 +125,7 @@ def test_images_and_height_maps_from_outside_are_listed(submit, tmp_path, scene,
     settings = add_terrain("Dunes").adaptive_terrain
     settings.store, settings.source, settings.source_path = "//dunes", "FILE", str(tmp_path / "dunes.npy")
     code, output, inputs = submit()
-    assert code == 0 and "note: 3 from outside the scene's folder go with the job: " in output
+    assert code == 0 and "note: the job brings 3 files and folders from outside the scene's folder: " in output
     assert all(str(tmp_path / name) in output for name in ("textures/rock.PNG", "dunes.npy", "stores/hills"))
     assert {str(tmp_path / name) for name in ("textures/rock.PNG", "dunes.npy")} <= set(inputs["filenames"])
 

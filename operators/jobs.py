@@ -117,10 +117,11 @@ class BackgroundJob:
             self.child.cancel()
 
     def close(self) -> None:
-        """End the job at once, before this returns: its steps run their `finally` clauses."""
-        self.stop()
-        self._steps.close()
-        self._remove_from_running()
+        """End the job at once, before this returns, unless it has ended: its steps run their `finally` clauses."""
+        if self in running:
+            self.stop()
+            self._steps.close()
+            self._remove_from_running()
 
     def advance(self) -> bool:
         """Run the job up to its next pause; return whether it has ended.

@@ -9,6 +9,7 @@ import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import jobs
+from adaptive_terrain.operators.job_operator import JobOperator
 from drawn_panels import DrawnLayout
 
 
@@ -104,6 +105,21 @@ def test_a_terrain_error_is_the_error_of_the_job():
     job = on_thread(fail)
     to_the_end(job)
     assert (job.result, job.error) == (None, "The disk is full: make room.")
+
+
+def test_a_script_gets_no_report_of_a_cancellation():
+    """A script runs a job to its end; the operator then closes it, which cancels nothing."""
+    reports, finished = [], []
+
+    class Operator(JobOperator):
+        kind = jobs.BAKE
+        subject = staticmethod(lambda _context: None)
+        steps = staticmethod(lambda _context, job: jobs.run_on_thread(job, lambda: "maps"))
+        finish = staticmethod(lambda _context, _obj, result: finished.append(result))
+        report = staticmethod(lambda *report: reports.append(report))
+
+    assert Operator().execute(bpy.context) == {"FINISHED"}
+    assert finished == ["maps"] and reports == []
 
 
 def test_closing_a_job_waits_for_its_thread():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Paths of stores stay right: where a file is saved to another folder, a terrain is appended, or stores were moved."""
+"""Stores of earlier versions are moved, and terrains whose stores were moved find them again."""
 
 import os
 from pathlib import Path
@@ -11,80 +11,11 @@ from ...cbt_terrain.field.moving import MovedStores, find_moved, move_stores
 from ..bridge.scene_paths import absolute_path
 from ..session import session
 from ..text.console import print_line
-from .store_location import RELATIVE, data_folder, deleted_folder, old_folders
+from .store_location import data_folder, deleted_folder, old_folders
 
 FOUND = "found"  # a topic
 DELETES = "which Blender deletes with the extension"
 notices: dict[str, str] = {}  # by topic, about moved stores, for the panel
-_paths_before: dict[int, str] = {}  # by session_uid: paths before a save to another folder
-
-
-@persistent
-def on_save_pre(path, _unused=None) -> None:
-    """Change relative paths of stores so that they hold from the folder that the file is being saved to.
-
-    path: the file that is about to be written. `on_save_post` restores the paths if it is a copy.
-    """
-    before = bpy.data.filepath
-    _paths_before.clear()
-    if not (before and path) or Path(before).parent == Path(path).parent:
-        return
-    for obj in session.all_terrains():
-        settings = obj.adaptive_terrain
-        if settings.store.startswith(RELATIVE):
-            _paths_before[obj.session_uid] = settings.store
-            folder = absolute_path(settings.store)
-            try:
-                settings.store = bpy.path.relpath(folder, start=str(Path(path).parent))
-            except ValueError:  # another drive
-                settings.store = folder
-
-
-@persistent
-def on_save_post(path, _unused=None) -> None:
-    """Restore the paths if only a copy of the open file was saved."""
-    if not (bpy.data.filepath and path) or Path(bpy.data.filepath) != Path(path):
-        _restore_paths()  # a copy was saved: the open file stays where it is
-    _paths_before.clear()
-
-
-@persistent
-def on_save_failed(_path, _unused=None) -> None:
-    """Restore the paths after a save that failed."""
-    _restore_paths()
-
-
-def _restore_paths() -> None:
-    """Give all terrains the store paths that they had before the save."""
-    for obj in session.all_terrains():
-        if obj.session_uid in _paths_before:
-            obj.adaptive_terrain.store = _paths_before[obj.session_uid]
-    _paths_before.clear()
-
-
-@persistent
-def on_append(imported, _unused=None) -> None:
-    """Let an appended terrain find its store: rewrite the relative path, which started from the file it comes from.
-
-    The new path starts from the open file. A path that leads nowhere stays, as in a paste (Ctrl V): Blender keeps the
-    copied objects in a file in another folder, with the paths of the open file.
-    """
-    for item in imported.import_items:
-        if (
-            item.id_type != "OBJECT"
-            or item.id is None
-            or item.source_library is None
-            or not session.is_terrain(item.id)
-        ):
-            continue
-        settings = item.id.adaptive_terrain
-        folder = absolute_path(settings.store, library=item.source_library)
-        if settings.store.startswith(RELATIVE) and os.path.isdir(folder):
-            try:
-                settings.store = bpy.path.relpath(folder) if bpy.data.filepath else folder
-            except ValueError:  # another drive
-                settings.store = folder
-        find_moved_stores([item.id])
 
 
 @persistent
@@ -176,15 +107,10 @@ def _report_moves(moved: MovedStores, old: Path) -> None:
 
 
 HANDLERS = {
-    "save_pre": on_save_pre,
-    "save_post": on_save_post,
-    "save_post_fail": on_save_failed,
     "load_post": on_load_post,
     "undo_post": on_undo,
     "redo_post": on_undo,
 }
-if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
-    HANDLERS["blend_import_post"] = on_append
 
 
 def start() -> None:

@@ -200,6 +200,37 @@ def test_saved_elsewhere_the_store_is_still_found(scene, add_terrain, tmp_path):
     assert absolute(bpy.data.objects["Terrain"]).is_relative_to(tmp_path / "there" / "deep")
 
 
+def test_height_maps_are_found_after_a_save_elsewhere(scene, add_terrain, tmp_path):
+    """Save As to a folder with another map of the same name, and a copy."""
+    (tmp_path / "there").mkdir()
+    for folder in (tmp_path, tmp_path / "there"):
+        (folder / "a.tif").touch()
+    settings = add_terrain().adaptive_terrain
+    save_and_pack(tmp_path)
+    settings.source_path, settings.more_sources.add().path = "//a.tif", "//more/b.tif"
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "copy.blend"), copy=True)
+    assert (settings.source_path, settings.more_sources[0].path) == ("//a.tif", "//more/b.tif")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "moved.blend"))
+    assert (settings.source_path, settings.more_sources[0].path) == ("//../a.tif", "//../more/b.tif")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "copy.blend"))
+    assert bpy.data.objects["Terrain"].adaptive_terrain.source_path == "//../a.tif"
+
+
+def test_undo_after_a_save_elsewhere_keeps_the_store(scene, add_terrain, tmp_path):
+    (tmp_path / "there").mkdir()
+    add_terrain()
+    save_and_pack(tmp_path)
+    folder = absolute(bpy.data.objects["Terrain"])
+    for height in (1.0, 2.0):
+        bpy.data.objects["Terrain"].location.z = height
+        bpy.ops.ed.undo_push(message="Moved")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "moved.blend"))
+    for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
+        assert step() == {"FINISHED"}
+        assert absolute(bpy.data.objects["Terrain"]) == folder
+    assert bpy.data.objects["Terrain"].location.z == 1.0
+
+
 def test_the_panel_asks_once_at_the_first_save(scene, add_terrain, tmp_path, monkeypatch):
     offered = []
     monkeypatch.setattr(pack_store, "bpy", _with_a_window(offered))

@@ -170,6 +170,8 @@ def _next_job() -> LiveUpdate | None:
         record = session.record_of(obj)
         # A mesh that a render has left is replaced by one for the viewport, also without Live Update.
         wanted = obj.adaptive_terrain.live or record.status.mode == RENDER
+        if obj.mode != "OBJECT":
+            session.forget_in_mode(obj, record)
         # Without a store the panel keeps the error of a failed import.
         if depsgraph is None or not wanted or not obj.adaptive_terrain.store or obj.mode != "OBJECT":
             continue

@@ -360,6 +360,16 @@ def forget_shown() -> None:
         record.generation += 1
 
 
+def forget_in_mode(obj, record: Record) -> None:
+    """While a terrain is in another mode than Object Mode, have its next live update run, and write an edited mesh.
+
+    An update that ends in such a mode is dropped, and a mesh may have moved vertices and the same numbers of them.
+    """
+    record.live_key = None
+    if obj.mode in ("EDIT", "SCULPT"):
+        record.shown = record.postponed_normals = None
+
+
 def clear() -> None:
     """Drop every terrain and height field, after another file or before the extension is disabled."""
     demand_cache.forget()  # the attributes that node trees read

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The window that a terrain follows if there are several."""
+"""Live updates: the window that a terrain follows if there are several, and meshes that are edited by hand."""
 
 import time
 from types import SimpleNamespace
@@ -15,6 +15,11 @@ def in_window(scene, depsgraph=True):
     layer.update()
     shown = layer if depsgraph else SimpleNamespace(depsgraph=None)
     return SimpleNamespace(scene=scene, view_layer=shown, screen=SimpleNamespace(areas=()))
+
+
+def show_in_one_window(scene, monkeypatch) -> None:
+    windows = [in_window(scene)]
+    monkeypatch.setattr(live, "_windows", lambda: windows)
 
 
 def turns() -> int:
@@ -49,3 +54,40 @@ def test_a_terrain_of_two_scenes_follows_the_first_window(scene, add_terrain, mo
         assert turns() == 1
         [view] = session.record_of(terrain).status.request.views
         assert np.linalg.inv(view.world_to_camera)[1, 3] == pytest.approx(eye)
+
+
+def test_a_mesh_edited_by_hand_is_written_again(scene, add_terrain, monkeypatch):
+    """Edits keep the numbers of vertices and faces, and the camera stays."""
+    terrain = add_terrain()
+    show_in_one_window(scene, monkeypatch)
+    turns()
+    heights = [vertex.co.z for vertex in terrain.data.vertices]
+    bpy.context.view_layer.objects.active = terrain
+    for live_update in (True, False):
+        terrain.adaptive_terrain.live = live_update
+        bpy.ops.object.mode_set(mode="EDIT")
+        turns()
+        bpy.ops.object.mode_set(mode="OBJECT")
+        terrain.data.vertices[3].co.z += 400.0
+        if not live_update:  # then a render writes it
+            session.update_object(terrain)
+        turns()
+        assert [vertex.co.z for vertex in terrain.data.vertices] == heights
+
+
+def test_an_update_that_ends_in_edit_mode_runs_again(scene, add_terrain, monkeypatch):
+    terrain = add_terrain()
+    show_in_one_window(scene, monkeypatch)
+    turns()
+    bpy.context.view_layer.objects.active = terrain
+    triangles = len(terrain.data.polygons)
+    terrain.adaptive_terrain.viewport.error_px *= 4.0
+    scene.view_layers[0].update()
+    live.mark_dirty()
+    live.tick()
+    assert live._job is not None, "an update is under way"
+    bpy.ops.object.mode_set(mode="EDIT")
+    turns()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    turns()
+    assert len(terrain.data.polygons) == session.record_of(terrain).status.triangles < triangles

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Classes and handlers of imports, in the order of their registration."""
 
-from . import pack_store, relative_paths, store_paths
+from . import pack_store, relative_paths, shared_origin, store_paths
 from .add_terrain import AddTerrain
 from .add_tiles import AddTiles, ImportTiles
 from .import_terrain import ImportAdded, ImportTerrain
@@ -17,6 +17,7 @@ CLASSES = (
 HANDLERS = (
     *relative_paths.HANDLERS.items(),
     *store_paths.HANDLERS.items(),
+    *shared_origin.HANDLERS.items(),  # after those that find stores
     ("save_pre", pack_store.on_save_pre),
     ("save_post", pack_store.on_save_post),
 )

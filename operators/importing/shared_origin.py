@@ -9,6 +9,7 @@ import math
 from contextlib import suppress
 
 import numpy as np
+from bpy.app.handlers import persistent
 from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError, shown
@@ -16,6 +17,8 @@ from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
 from ...cbt_terrain.importing.placing import reproject_point
 from ..bridge.evaluated import anchor_of
 from ..bridge.scene_origin import (
+    CRS_X,
+    CRS_Y,
     SRID,
     WGS84,
     SceneOrigin,
@@ -29,9 +32,11 @@ from ..bridge.scene_origin import (
 )
 from ..session import session
 from ..terrain import move_world
-from .imported import Imported, imported_of
+from .imported import LONGEST_CRS, Imported, imported_of, tag_object
 
 SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
+MOVED = 1e-3  # of a sample's step: a raster whose middle has moved by more is another one
+_stray: set[int] = set()  # by session_uid: terrains that had another raster than their place before an Undo, too
 
 
 def follows_coordinates(obj, scene, before: Imported | None) -> bool:
@@ -90,6 +95,56 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
         shifted: set[int] = set()  # animation curves that are shifted already
         move_world.shift_location(obj, Vector((basis @ by).tolist()), shifted)
     move_world.keep_children(obj, by)
+
+
+def _move_of_raster(obj) -> np.ndarray | None:
+    """Return the middle of the raster for which a terrain was placed, float64 [2] metres in its present raster.
+
+    Its custom properties have the coordinates of that middle, and come back with Undo or with a file that was not saved
+    after an import. The files of the store are those of the last import. None if the middle is that of the present
+    raster, if that raster does not reach as far, or if there are no coordinates.
+    """
+    imported = imported_of(obj.adaptive_terrain)
+    middle = obj.get(CRS_X), obj.get(CRS_Y)
+    if imported is None or not imported.crs or imported.place is None:
+        return None
+    if not all(isinstance(c, int | float) for c in middle) or obj.get(SRID) != shown(imported.crs, LONGEST_CRS):
+        return None
+    (by,) = from_crs(imported.place, np.array([middle]))
+    is_same, is_far = np.abs(by) <= MOVED * np.array(imported.step_m), np.abs(by) >= imported.extent_m
+    return None if is_same.all() or is_far.any() or not np.isfinite(by).all() else by
+
+
+def _follow_raster(obj) -> None:
+    """Move a terrain whose store has another raster than its place, so that the ground stays in the world."""
+    by = _move_of_raster(obj)
+    if by is not None:
+        anchor = anchor_of(obj)
+        keep_anchor_inside(obj, imported_of(obj.adaptive_terrain))
+        keep_ground(obj, np.subtract(anchor_of(obj), anchor) - by, is_placed=False)
+        tag_object(obj)
+
+
+@persistent
+def on_load_post(_path, _unused=None) -> None:
+    """Place terrains whose stores were imported after the file was saved."""
+    for obj in session.all_terrains():
+        _follow_raster(obj)
+
+
+@persistent
+def on_undo_pre(_scene, _unused=None) -> None:
+    """Note terrains that do not fit their stores already, as with a store that the user has chosen."""
+    _stray.clear()
+    _stray.update(obj.session_uid for obj in session.all_terrains() if _move_of_raster(obj) is not None)
+
+
+@persistent
+def on_undo(_scene, _unused=None) -> None:
+    """Place terrains that Undo has moved back although the files of their stores stay."""
+    for obj in session.all_terrains():
+        if obj.session_uid not in _stray:
+            _follow_raster(obj)
 
 
 def forget_left_origin(obj, scene, imported: Imported | None) -> bool:
@@ -269,3 +324,12 @@ def _remedy(origin: SceneOrigin) -> str:
     if is_in_degrees(origin.place):
         return "import the terrains in degrees again with utm as Reproject, and the scene takes over their system"
     return "import it with the scene's system as Reproject"
+
+
+HANDLERS = {
+    "load_post": on_load_post,
+    "undo_pre": on_undo_pre,
+    "redo_pre": on_undo_pre,
+    "undo_post": on_undo,
+    "redo_post": on_undo,
+}

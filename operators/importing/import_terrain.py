@@ -247,8 +247,7 @@ class ImportOperator(JobOperator):
         A quick import calls it up to three times: for the first picture, for its tiles in view and for the complete
         store. result: the import's report and the path of the store.
         """
-        report, folder = result
-        before, anchor_before = self.before, anchor_of(obj)
+        (report, folder), before, anchor_before = result, self.before, anchor_of(obj)
         # Whether the terrain is where its coordinates are in the scene, and so moves to those of the new raster.
         follows = shared_origin.follows_coordinates(obj, context.scene, before)
         # Frozen triangles, and the error of the last update, are those of the heights before.
@@ -268,6 +267,7 @@ class ImportOperator(JobOperator):
         else:
             notes = shared_origin.system_notes(obj, origin_of(context.scene), found)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
+        shared_origin.follow_store(obj)
         self.before = found  # for the next call of a quick import
         context.view_layer.update()
         self._show_in_viewports(context, obj, before)

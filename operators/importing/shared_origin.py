@@ -30,6 +30,7 @@ from ..bridge.scene_origin import (
     set_origin,
     unit_lengths,
 )
+from ..bridge.scene_paths import absolute_path
 from ..session import session
 from ..terrain import move_world
 from .imported import LONGEST_CRS, Imported, imported_of, tag_object
@@ -115,7 +116,7 @@ def _move_of_raster(obj) -> np.ndarray | None:
     return None if is_same.all() or is_far.any() or not np.isfinite(by).all() else by
 
 
-def _follow_raster(obj) -> None:
+def follow_raster(obj) -> None:
     """Move a terrain whose store has another raster than its place, so that the ground stays in the world."""
     by = _move_of_raster(obj)
     if by is not None:
@@ -125,11 +126,19 @@ def _follow_raster(obj) -> None:
         tag_object(obj)
 
 
+def follow_store(obj) -> None:
+    """Keep the ground of other terrains that use the store of `obj`, as copies do, after an import into that store."""
+    folder = absolute_path(obj.adaptive_terrain.store)
+    for other in session.all_terrains():
+        if other != obj and absolute_path(other.adaptive_terrain.store) == folder:
+            follow_raster(other)
+
+
 @persistent
 def on_load_post(_path, _unused=None) -> None:
     """Place terrains whose stores were imported after the file was saved."""
     for obj in session.all_terrains():
-        _follow_raster(obj)
+        follow_raster(obj)
 
 
 @persistent
@@ -144,7 +153,7 @@ def on_undo(_scene, _unused=None) -> None:
     """Place terrains that Undo has moved back although the files of their stores stay."""
     for obj in session.all_terrains():
         if obj.session_uid not in _stray:
-            _follow_raster(obj)
+            follow_raster(obj)
 
 
 def forget_left_origin(obj, scene, imported: Imported | None) -> bool:

@@ -27,7 +27,7 @@ from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
 from .refine.reported_bounds import ReportedBounds
 from .refine.request import RefinementRequest, pack, refinable_domain
-from .refine.saved_leaves import depths_in_squares
+from .refine.saved_leaves import OTHER_FIELD, depths_in_squares
 from .refine.terms import MARGIN, Terms, position_rounding, rounding
 from .run import launch
 from .tree.concurrent_binary_tree import ConcurrentBinaryTree
@@ -221,9 +221,8 @@ class Terrain:
             try:
                 surface = self._build(SurfaceRequest(domain, meshlet, whole=self._whole), changed)
             except TornMesh:
-                raise TerrainError(
-                    "The saved tree is corrupt", expected="leaves that form a conforming mesh", fix="save it again"
-                ) from None
+                expected, fix = "leaves that form a conforming mesh", "save it again"
+                raise TerrainError("The saved tree is corrupt", expected=expected, fix=fix, code=OTHER_FIELD) from None
             # metres of the bound: the leaves' error, the rounding to float32 (heights and plane), and the source's
             terms_m = leaf_error * domain.error_scale, domain.rounding + domain.max_lean, domain.source
             bound = add_up(terms_m) * (1 + MARGIN)

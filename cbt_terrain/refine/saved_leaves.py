@@ -9,6 +9,8 @@ from ..field.heightfield import HeightField
 from ..field.lattice import MAX_MESHLET
 from ..tree.saved import MIN_DEPTH, depths_from_bytes
 
+OTHER_FIELD = "tree.other_field"  # code of the error of a saved tree that does not fit its height field
+
 
 def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[int, np.ndarray]:
     """Return the levels of a saved tree below a root square, and each leaf's bisections of its square, uint8 [leaves].
@@ -28,5 +30,6 @@ def depths_in_squares(tree: bytes, field: HeightField, meshlet: int) -> tuple[in
             f"The saved tree has leaves of {depths.min()} .. {depths.max()} bisections of a square",
             expected=f"1 .. {max_bisections} for this height field with meshlets of level {meshlet}",
             fix="save it again with this height field and these settings",
+            code=OTHER_FIELD,
         )
     return cell_bits, depths.astype(np.uint8)

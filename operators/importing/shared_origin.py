@@ -123,6 +123,7 @@ def follow_raster(obj) -> None:
         anchor = anchor_of(obj)
         keep_anchor_inside(obj, imported_of(obj.adaptive_terrain))
         keep_ground(obj, np.subtract(anchor_of(obj), anchor) - by, is_placed=False)
+        obj.adaptive_terrain.frozen = ""  # triangles of the earlier raster
         tag_object(obj)
 
 

@@ -182,8 +182,9 @@ def _refine(record: Record, request: Request, heights: HeightField):
         record.terrain, record.field, record.serial = Terrain(heights), heights, record.serial + 1
     vertical = {"vertical_scale": request.vertical_scale, "vertical_offset": request.vertical_offset}
     if request.frozen:
-        tree, meshlet = frozen.decode_tree(request.frozen)
-        update = record.terrain.restore(tree, meshlet=meshlet, **vertical)
+        with frozen.name_remedy():
+            tree, meshlet = frozen.decode_tree(request.frozen)
+            update = record.terrain.restore(tree, meshlet=meshlet, **vertical)
     else:
         update = record.terrain.update(request.criterion, request.views, request.placement, **vertical)
     record.serial += bool(update.changed)

@@ -309,11 +309,13 @@ def test_undo_of_added_tiles_leaves_the_ground_in_its_place(saved, is_moved):
     before = ground()
     bpy.ops.wm.save_mainfile()
     copy = terrain.copy()
+    copy.adaptive_terrain.frozen = "0 of the first raster"
     scene.collection.objects.link(copy)
     bpy.ops.ed.undo_push(message="Placed")
     bpy.context.view_layer.objects.active = terrain
     assert bpy.ops.adaptive_terrain.add_tiles(filepath=str(east)) == {"FINISHED"}
     assert np.abs(np.subtract(copy.location, terrain.location)).max() < 1e-3, "a copy shares the store"
+    assert not copy.adaptive_terrain.frozen
     bpy.ops.ed.undo_push(message="Added")
     for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
         step()

@@ -14,6 +14,7 @@ from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain import frozen
 from adaptive_terrain.operators.terrain.overrides import Overrides
 from blender_meshes import positions
+from rasters import hills, store_heights
 
 
 @pytest.fixture
@@ -96,6 +97,17 @@ def test_it_survives_the_file(terrain, tmp_path):
     again = bpy.data.objects["Terrain"]
     session.update_object(again)
     assert (positions(again) == before).all()
+
+
+def test_frozen_triangles_of_other_heights_name_the_remedy(terrain, tmp_path):
+    """The triangles of one square do not fit together on five, as after an import of a copy that shares the store."""
+    freeze()
+    terrain.adaptive_terrain.store = str(store_heights(tmp_path / "long", hills(600, 129), 10.0))
+    with pytest.raises(TerrainError, match="belong to other heights: switch Freeze Detail off and on again"):
+        session.update_object(terrain)
+    freeze()
+    freeze()
+    assert session.update_object(terrain).triangles > 0
 
 
 def test_invalid_frozen_triangles_are_refused(terrain):

@@ -2,7 +2,7 @@
 """Relative paths of terrains stay right: those of stores and of height maps.
 
 They start from the .blend file. They are rewritten where the file is saved to another folder, where Undo brings back
-paths from before that, and where a terrain is appended.
+paths from before that, and where a terrain is appended, or linked and then made local.
 """
 
 import os
@@ -12,6 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..bridge.scene_paths import absolute_path
+from ..bridge.writing import allow_writing
 from ..session import session
 from .store_location import RELATIVE
 from .store_paths import find_moved_stores
@@ -19,6 +20,8 @@ from .store_paths import find_moved_stores
 _before_save: dict[int, list[str]] = {}  # by session_uid: all paths before a save to another folder
 # Absolute paths by session_uid and relative path, of folders where the open file was before: Undo knows no folder.
 _earlier: dict[tuple[int, str], str] = {}
+
+_linked: dict[str, str] = {}  # absolute paths by relative path, of linked terrains; "" if two libraries have the same
 
 
 def _paths_of(obj) -> list[tuple]:
@@ -106,6 +109,7 @@ def on_undo(_scene, _unused=None) -> None:
 def on_load_pre(_path, _unused=None) -> None:
     """Forget the folders of the file that is about to be closed."""
     _earlier.clear()
+    _linked.clear()
 
 
 @persistent
@@ -131,6 +135,30 @@ def on_append(imported, _unused=None) -> None:
         find_moved_stores([item.id])
 
 
+@persistent
+@allow_writing
+def on_update(_scene, depsgraph) -> None:
+    """Let a linked terrain that is made local find its store and its height maps.
+
+    Nothing tells that of Make Local, so the paths of linked terrains are noted before. A path that leads somewhere from
+    the open file stays.
+    """
+    if not bpy.data.libraries or not depsgraph.id_type_updated("OBJECT"):
+        return
+    terrains = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.adaptive_terrain.enabled]
+    for obj in terrains:
+        for owner, name in _paths_of(obj) if obj.override_library is None else ():
+            text = getattr(owner, name)
+            if not text.startswith(RELATIVE):
+                continue
+            if obj.library is not None:
+                absolute = absolute_path(text, library=obj.library)
+                if _linked.setdefault(text, absolute) != absolute:
+                    _linked[text] = ""
+            elif _linked.get(text) and not os.path.exists(absolute_path(text)):
+                setattr(owner, name, _relative_to(_linked[text], _folder_of_file()))
+
+
 HANDLERS = {
     "save_pre": on_save_pre,
     "save_post": on_save_post,
@@ -140,6 +168,7 @@ HANDLERS = {
     "undo_post": on_undo,
     "redo_post": on_undo,
     "load_pre": on_load_pre,
+    "depsgraph_update_post": on_update,
 }
 if hasattr(bpy.app.handlers, "blend_import_post"):  # Blender 4.3
     HANDLERS["blend_import_post"] = on_append

@@ -150,6 +150,29 @@ def test_an_appended_terrain_finds_its_store(scene, add_terrain, tmp_path, saved
     assert appended.adaptive_terrain.store.startswith("//") is saved and absolute(appended) == folder
 
 
+@pytest.mark.parametrize("saved", [True, False])
+def test_a_linked_terrain_made_local_finds_its_store(scene, add_terrain, tmp_path, saved):
+    terrain, library = add_terrain(), tmp_path / "library" / "valley.blend"
+    save_and_pack(library.parent)
+    folder = absolute(terrain)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    with bpy.data.libraries.load(str(library), link=True) as (_there, here):
+        here.objects = ["Terrain"]
+    bpy.context.scene.collection.objects.link(here.objects[0])
+    bpy.context.view_layer.update()
+    assert here.objects[0].adaptive_terrain.store == "//terrain/valley_Terrain_store", "the library's own path"
+    bpy.context.view_layer.objects.active = here.objects[0]
+    here.objects[0].select_set(True)
+    assert bpy.ops.object.make_local(type="SELECT_OBDATA") == {"FINISHED"}
+    bpy.context.view_layer.update()
+    local = bpy.data.objects["Terrain"]
+    assert local.library is None and local.adaptive_terrain.store.startswith("//") is saved
+    assert absolute(local) == folder
+
+
 def test_a_terrain_that_is_copied_and_pasted_keeps_its_path(scene, add_terrain, tmp_path):
     """Blender appends it from a file elsewhere, beside which there is no store."""
     terrain, buffer = add_terrain(), tmp_path / "buffer" / "copybuffer.blend"

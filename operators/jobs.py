@@ -75,6 +75,7 @@ class BackgroundJob:
 
     Attributes:
         uid: session_uid of the job's terrain, None for a job of the whole file.
+        file: path of the .blend file when the job began; the user may save it elsewhere meanwhile.
         fraction: progress, 0 .. 1.
         message: present step of the job, "" if its kind suffices.
         result: return value of the steps, None until they have ended well.
@@ -87,7 +88,7 @@ class BackgroundJob:
 
     def __init__(self, kind: JobKind, uid: int | None, steps: Callable[["BackgroundJob"], Steps]):
         """Create a job whose first step is run by the first `advance`. steps: returns the generator of the steps."""
-        self.kind, self.uid = kind, uid
+        self.kind, self.uid, self.file = kind, uid, bpy.data.filepath
         self.fraction, self.message = 0.0, STARTING
         self.result, self.error = None, ""
         self.stopped = self.is_orphan = False

@@ -30,7 +30,7 @@ from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
 from .placement_notes import neighbour_notes, picture_note, scatter_note
-from .store_location import location_warnings, store_folder
+from .store_location import location_warnings, store_folder, stored_path
 
 RESIZED = 2.0  # ratio of sizes from which on the terrain is framed again
 _gone: set[int] = set()  # terrains that were undone or deleted while they were imported
@@ -174,17 +174,17 @@ class ImportOperator(JobOperator):
         self.before = imported.imported_of(context.object.adaptive_terrain)
         self.box = frame_terrain.box_or_none(context.object)
         self.baked = context.object.adaptive_terrain.store if self.before and self.before.is_shaped else ""
-        folder = store_folder(context.object, settings)
+        folder = absolute_path(store_folder(context.object, settings))  # for a file that is saved elsewhere meanwhile
         if not (self.shows_first_picture and self.beside_window):
             return (yield from self._import(job, settings, folder))
         quick, quick_settings = None, dataclasses.replace(settings, quick=QUICK_SAMPLES)
-        if not changed_ns(absolute_path(folder)):  # 0: there is no store yet
+        if not changed_ns(folder):  # 0: there is no store yet
             quick = yield from self._import(job, quick_settings, folder)
             if "loaded" not in quick[0] or job.terrain() is None:  # complete, or its terrain is gone
                 return quick
             self.finish(bpy.context, job.terrain(), quick)
         try:
-            with view_tiles.loading(job.uid, quick_settings, absolute_path(folder)) as loader:
+            with view_tiles.loading(job.uid, quick_settings, folder) as loader:
                 if quick is not None:
                     yield from self._load_seen(job, loader, folder)
                 return (yield from self._complete(job, loader, settings, folder))
@@ -192,7 +192,7 @@ class ImportOperator(JobOperator):
             if quick is None or job.is_orphan:
                 raise
             notes = [str(error)] if isinstance(error, TerrainError) else []
-            return read_json(Path(absolute_path(folder)))["report"] | {"warnings": notes}, folder
+            return read_json(Path(folder))["report"] | {"warnings": notes}, folder
 
     def _load_seen(self, job: jobs.BackgroundJob, loader: view_tiles.TileLoader, folder: str) -> jobs.Steps:
         """Load the tiles that the views of a first picture need, and show them; the picture stays if that fails.
@@ -233,7 +233,7 @@ class ImportOperator(JobOperator):
         from ...cbt_terrain.importing.import_process import ImportJob
 
         job.raise_if_stopped()
-        report = yield from jobs.run_in_child(job, ImportJob(settings, absolute_path(folder)))
+        report = yield from jobs.run_in_child(job, ImportJob(settings, folder))
         yield from jobs.wait_with_result(job)  # until the kernels that refine the imported terrain are compiled
         return report, folder
 
@@ -245,9 +245,9 @@ class ImportOperator(JobOperator):
         """Give the store to the terrain, place it, show it in viewports, and report.
 
         A quick import calls it up to three times: for the first picture, for its tiles in view and for the complete
-        store. result: the import's report and the path of the store.
+        store. result: the import's report and the absolute path of the store.
         """
-        (report, folder), before, anchor_before = result, self.before, anchor_of(obj)
+        report, before, anchor_before, folder = result[0], self.before, anchor_of(obj), stored_path(result[1])
         # Whether the terrain is where its coordinates are in the scene, and so moves to those of the new raster.
         follows = shared_origin.follows_coordinates(obj, context.scene, before)
         # Frozen triangles, and the error of the last update, are those of the heights before.
@@ -386,7 +386,7 @@ def _restore_store(obj) -> None:
 
     Its place and the viewports are as Undo has left them.
     """
-    obj.adaptive_terrain.store = _added[obj.session_uid]
+    obj.adaptive_terrain.store = stored_path(_added[obj.session_uid])
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why
         frame_terrain.frame_terrain(obj, bpy.context.evaluated_depsgraph_get(), [], always=False)

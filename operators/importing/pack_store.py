@@ -21,6 +21,7 @@ from ..job_operator import JobOperator
 from ..session import session
 from .imported import loaded_text
 from .pack_plan import PackPlan, plan_packing, room_text, terrains_to_pack
+from .store_location import after_save
 
 OFFER_S = 0.2
 _first_save = False
@@ -80,7 +81,8 @@ class PackStore(JobOperator, bpy.types.Operator):
         """
         is_saved = not bpy.data.is_dirty  # saving again then saves nothing but the new paths
         self._show_copied_maps(planned)
-        targets = {uid: target for target, uids in planned.stores.values() for uid in uids}
+        file = self.job.file  # the copies are beside it, also if it was saved elsewhere meanwhile
+        targets = {uid: after_save(target, file) for target, uids in planned.stores.values() for uid in uids}
         for obj in session.all_terrains():
             if obj.session_uid in targets:
                 obj.adaptive_terrain.store = targets[obj.session_uid]

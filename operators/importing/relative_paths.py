@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 from ..bridge.scene_paths import absolute_path
 from ..bridge.writing import allow_writing
 from ..session import session
-from .store_location import RELATIVE
+from .store_location import RELATIVE, relative_to
 from .store_paths import find_moved_stores
 
 _before_save: dict[int, list[str]] = {}  # by session_uid: all paths before a save to another folder
@@ -28,14 +28,6 @@ def _paths_of(obj) -> list[tuple]:
     """Return (property group, name of the property) of each path of a terrain that may be relative."""
     settings = obj.adaptive_terrain
     return [(settings, "store"), (settings, "source_path"), *((item, "path") for item in settings.more_sources)]
-
-
-def _relative_to(path: str, folder: str | None) -> str:
-    """Return an absolute path relative to a folder, `//...`; unchanged on another drive or without a folder."""
-    try:
-        return bpy.path.relpath(path, start=folder) if folder else path
-    except ValueError:  # another drive
-        return path
 
 
 def _folder_of_file() -> str | None:
@@ -60,7 +52,7 @@ def on_save_pre(path, _unused=None) -> None:
             if text.startswith(RELATIVE):
                 absolute = absolute_path(text)
                 _earlier[obj.session_uid, text] = absolute
-                setattr(owner, name, _relative_to(absolute, str(Path(path).parent)))
+                setattr(owner, name, relative_to(absolute, str(Path(path).parent)))
 
 
 @persistent
@@ -102,7 +94,7 @@ def on_undo(_scene, _unused=None) -> None:
         for obj in session.all_terrains():
             for owner, name in _paths_of(obj):
                 if absolute := _earlier.get((obj.session_uid, getattr(owner, name))):
-                    setattr(owner, name, _relative_to(absolute, _folder_of_file()))
+                    setattr(owner, name, relative_to(absolute, _folder_of_file()))
 
 
 @persistent
@@ -131,7 +123,7 @@ def on_append(imported, _unused=None) -> None:
             text = getattr(owner, name)
             absolute = absolute_path(text, library=item.source_library)
             if text.startswith(RELATIVE) and os.path.exists(absolute):
-                setattr(owner, name, _relative_to(absolute, _folder_of_file()))
+                setattr(owner, name, relative_to(absolute, _folder_of_file()))
         find_moved_stores([item.id])
 
 
@@ -156,7 +148,7 @@ def on_update(_scene, depsgraph) -> None:
                 if _linked.setdefault(text, absolute) != absolute:
                     _linked[text] = ""
             elif _linked.get(text) and not os.path.exists(absolute_path(text)):
-                setattr(owner, name, _relative_to(_linked[text], _folder_of_file()))
+                setattr(owner, name, relative_to(_linked[text], _folder_of_file()))
 
 
 HANDLERS = {

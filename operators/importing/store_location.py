@@ -87,6 +87,35 @@ def store_folder(obj, settings: ImportSettings) -> str:
     return str(data_folder() / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
 
 
+def stored_path(folder: str) -> str:
+    """Return the path of an import's store as a terrain keeps it: relative to the .blend file.
+
+    folder: absolute. It stays so in the data folder, for a file that is not saved, and on another drive.
+    """
+    if not bpy.data.filepath or is_shared(folder):
+        return folder
+    return relative_to(folder, str(Path(bpy.data.filepath).parent))
+
+
+def relative_to(path: str, folder: str | None) -> str:
+    """Return an absolute path relative to a folder, `//...`; unchanged on another drive or without a folder."""
+    try:
+        return bpy.path.relpath(path, start=folder) if folder else path
+    except ValueError:  # another drive
+        return path
+
+
+def after_save(path: str, file: str) -> str:
+    """Return a path that is relative to the .blend file `file` as it holds from the open file.
+
+    The user may have saved that file elsewhere since.
+    """
+    if bpy.data.filepath == file or not path.startswith(RELATIVE):
+        return path
+    absolute = bpy.path.abspath(path, start=str(Path(file).parent))
+    return relative_to(absolute, str(Path(bpy.data.filepath).parent))
+
+
 def baked_folder(obj) -> str:
     """Return the path for the baked land of a terrain: that of its store and "_baked". It may exist.
 

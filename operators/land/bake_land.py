@@ -14,7 +14,7 @@ from ...cbt_terrain.run import stopping
 from .. import jobs
 from ..bridge.scene_paths import absolute_path, store_path
 from ..importing import imported
-from ..importing.store_location import baked_folder
+from ..importing.store_location import after_save, baked_folder
 from ..session import session
 from .request import land_of
 from .shape_land import ShapedLandJob, wanted_land
@@ -77,6 +77,7 @@ class BakeLand(ShapedLandJob, bpy.types.Operator):
         result: the land that was copied, and the path of the copy.
         """
         (land, folder), settings, depsgraph = result, obj.adaptive_terrain, context.evaluated_depsgraph_get()
+        folder = after_save(folder, self.job.file)
         if land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True) != land:
             self.report({"WARNING"}, f"The list has changed, and stays; the land that it made before is in {folder}")
             return

@@ -2,6 +2,7 @@
 """Stores go beside their .blend file, and are found wherever the file is saved to."""
 
 import shutil
+import threading
 from pathlib import Path
 
 import bpy
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators import derived_store, land_folder, requested_tiles
-from adaptive_terrain.operators.importing import pack_plan, pack_store
+from adaptive_terrain.operators.importing import import_terrain, pack_plan, pack_store, store_location
 from adaptive_terrain.operators.importing.store_location import lies_beside
-from adaptive_terrain.operators.land import shape_land, shaped_land
+from adaptive_terrain.operators.land import bake_land, shape_land, shaped_land
 from adaptive_terrain.operators.maps import images as map_images
 from adaptive_terrain.operators.maps.properties import map_folder
 from adaptive_terrain.operators.session import session
 from land_scenes import add
+from modal_runs import hold, running, to_the_end
 
 
 def absolute(terrain) -> Path:
@@ -252,6 +254,35 @@ def test_undo_after_a_save_elsewhere_keeps_the_store(scene, add_terrain, tmp_pat
         assert step() == {"FINISHED"}
         assert absolute(bpy.data.objects["Terrain"]) == folder
     assert bpy.data.objects["Terrain"].location.z == 1.0
+
+
+@pytest.mark.parametrize("job", ["import", "pack", "bake"])
+def test_a_job_ends_in_a_file_that_was_saved_elsewhere(scene, add_terrain, store, tmp_path, monkeypatch, job):
+    """Save As to another folder while the job runs: its store stays beside the earlier file."""
+    (tmp_path / "there").mkdir()
+    terrain, saved = add_terrain(), threading.Event()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    if job == "import":
+        terrain.adaptive_terrain.store, terrain.adaptive_terrain.island_size = "", 65
+        operator = running(import_terrain.ImportTerrain, terrain)
+    elif job == "pack":
+        saved = hold(monkeypatch, pack_plan, "copy_store")
+        operator = running(pack_store.PackStore, terrain, save_again=False)
+    else:
+        shutil.copytree(store, tmp_path / "data" / "hills")  # a folder that other files may use
+        monkeypatch.setattr(store_location, "data_folder", lambda: tmp_path / "data")
+        terrain.adaptive_terrain.store = str(tmp_path / "data" / "hills")
+        bpy.context.view_layer.objects.active = terrain
+        add("scree")
+        assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+        saved = hold(monkeypatch, bake_land, "copy_store")
+        operator = running(bake_land.BakeLand, terrain)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there" / "moved.blend"))
+    saved.set()
+    assert to_the_end(operator) == {"FINISHED"}
+    path = terrain.adaptive_terrain.store
+    assert path.startswith("//../terrain/valley_Terrain_") and open_store(absolute(terrain))
+    assert (job == "bake") is path.endswith("_baked")
 
 
 def test_the_panel_asks_once_at_the_first_save(scene, add_terrain, tmp_path, monkeypatch):

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Drafts of stores with room on the disk."""
 
+import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -72,12 +73,13 @@ def _check_room(path: Path, lattice: Lattice, needed: int, elsewhere: str) -> No
     free = shutil.disk_usage(existing).free
     if needed > free:
         raise TerrainError(
-            f"A terrain of {lattice.width} x {lattice.height} samples needs {_format_bytes(needed)} in {path}, where "
-            f"{_format_bytes(free)} are free",
+            f"A terrain of {lattice.width} x {lattice.height} samples needs {_format_bytes(needed, math.ceil)} in "
+            f"{path}, where {_format_bytes(free, math.floor)} are free",
             fix=f"make room or {elsewhere}",
         )
 
 
-def _format_bytes(count: int) -> str:
-    """Return a number of bytes as text, in GB or MB."""
-    return f"{count / 1e9:.2f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"
+def _format_bytes(count: int, rounded: Callable[[float], int]) -> str:
+    """Return a number of bytes as text, in GB or MB. rounded: math.ceil or math.floor, for tenths of the unit."""
+    size, unit = (1e9, "GB") if count >= 1e9 else (1e6, "MB")
+    return f"{rounded(count / size * 10) / 10:.1f} {unit}"

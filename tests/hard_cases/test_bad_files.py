@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import store as stores
+from adaptive_terrain.cbt_terrain.field.lattice import Lattice
 from adaptive_terrain.cbt_terrain.field.meshlet_errors import error_for
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.importing.drafts import open_draft
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
@@ -268,6 +270,15 @@ def test_case_20_a_full_disk(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(stores.os, "replace", full)
         is_kept("No space left on device.: make room")
+
+
+@pytest.mark.parametrize("needed, text", [(2_400_000, "needs 2.4 MB in .* 2.3 MB"), (3 * 10**9, "3.0 GB in .* 2.9 GB")])
+def test_case_20_needed_room_differs_from_free_room(tmp_path, monkeypatch, needed, text):
+    """The amounts are not rounded to the same number."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(0, 0, needed - 1))
+    lattice = Lattice(1, 1, 8)
+    with pytest.raises(TerrainError, match=text), open_draft(tmp_path / "store", None, lattice, needed):
+        pass
 
 
 def test_case_20_a_folder_that_may_not_be_written(tmp_path):

@@ -103,9 +103,11 @@ def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
     shape and for values that are no numbers. name: the vectors' name in the error.
     """
     try:
-        values = list(values) if isinstance(values, Iterator) else values
-        array = np.ascontiguousarray(values, np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(list(values) if isinstance(values, Iterator) else values)
+        if array.dtype.kind == "c":
+            raise TypeError  # a conversion would drop the imaginary parts
+        array = np.ascontiguousarray(array, np.float64)
+    except (TypeError, ValueError, OverflowError):
         raise TerrainError(f"The {name} are no numbers", expected=f"[n, {width}] metres") from None
     if array.ndim == 1 and array.size in (0, width):
         array = array.reshape(-1, width)

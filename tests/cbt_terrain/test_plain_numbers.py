@@ -143,6 +143,12 @@ def test_other_values_are_refused_in_one_sentence(make, message):
         make()
 
 
+@pytest.mark.parametrize("places", [np.array([[1.0, 2.0 + 3.0j]]), [(1j, 0)], [(10**400, 0)]])
+def test_positions_that_no_float_holds_are_refused(places):
+    with pytest.raises(TerrainError, match="are no numbers"):
+        ground_at(field(), places)
+
+
 def test_views_and_positions_come_from_generators():
     heights, terrain = field(), Terrain(field(), 1)
     expected = terrain.update(Criterion(error_px=0.5), [VIEW])

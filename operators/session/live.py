@@ -183,7 +183,7 @@ def _next_job() -> LiveUpdate | None:
             if not isinstance(error, TerrainError):
                 traceback.print_exc()
             continue
-        if request.key() != record.live_key:
+        if request.key() != record.live_key or not session.is_as_written(obj.data, record):
             if not _is_prepared(record, request):
                 return None
             record.live_key, _started = request.key(), time.monotonic()  # _started: of the running job

@@ -336,10 +336,19 @@ def shown_surface(record: Record, update) -> Surface:
 
 def _what_is_shown(mesh, record: Record, request: Request) -> tuple:
     """Return a key that changes whenever the mesh in Blender is no longer the one that the record has written."""
-    counts = len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
     attributes = tuple(name in mesh.attributes for name in record.effects)  # a user may remove some
     serials = record.serial, record.overlay_key, record.effects_serial, attributes
-    return mesh.session_uid, counts, request.smooth, request.cleanup.key(), *serials
+    return _elements(mesh), request.smooth, request.cleanup.key(), *serials
+
+
+def _elements(mesh) -> tuple[int, int, int, int]:
+    """Return which mesh it is, by its session_uid, and its numbers of vertices, edges and faces."""
+    return mesh.session_uid, len(mesh.vertices), len(mesh.edges), len(mesh.polygons)
+
+
+def is_as_written(mesh, record: Record) -> bool:
+    """Return False if a terrain's mesh has other elements than were written, as after Apply of a modifier."""
+    return record.shown is None or record.shown[0] == _elements(mesh)
 
 
 def _make_mesh_single_user(obj) -> None:

@@ -75,6 +75,21 @@ def test_a_mesh_edited_by_hand_is_written_again(scene, add_terrain, monkeypatch)
         assert [vertex.co.z for vertex in terrain.data.vertices] == heights
 
 
+def test_a_mesh_with_an_applied_modifier_is_written_again(scene, add_terrain, monkeypatch):
+    """And one that was replaced by another mesh."""
+    terrain = add_terrain()
+    show_in_one_window(scene, monkeypatch)
+    turns()
+    triangles = len(terrain.data.polygons)
+    bpy.context.view_layer.objects.active = terrain
+    terrain.modifiers.new("Fewer", "DECIMATE").ratio = 0.3
+    bpy.ops.object.modifier_apply(modifier="Fewer")
+    assert len(terrain.data.polygons) < triangles
+    assert turns() == 1 and len(terrain.data.polygons) == triangles
+    terrain.data = bpy.data.meshes.new("Empty")
+    assert turns() == 1 and len(terrain.data.polygons) == triangles and turns() == 0
+
+
 def test_an_update_that_ends_in_edit_mode_runs_again(scene, add_terrain, monkeypatch):
     terrain = add_terrain()
     show_in_one_window(scene, monkeypatch)

@@ -24,6 +24,23 @@ def absolute(terrain) -> Path:
     return Path(bpy.path.abspath(terrain.adaptive_terrain.store)).resolve()
 
 
+def in_another_file(terrain, tmp_path: Path, saved: bool, link: bool) -> tuple:
+    """Save and pack a terrain, append it to another file or link it there; return it and its store's folder.
+
+    saved: whether the other file has a path.
+    """
+    library = tmp_path / "library" / "valley.blend"
+    save_and_pack(library.parent)
+    folder = absolute(terrain)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    if saved:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    with bpy.data.libraries.load(str(library), link=link) as (_there, here):
+        here.objects = ["Terrain"]
+    return here.objects[0], folder
+
+
 def save_and_pack(folder: Path) -> None:
     """Save the open file as valley.blend in a folder, and pack its stores."""
     folder.mkdir(exist_ok=True)
@@ -139,35 +156,18 @@ def test_a_store_of_another_terrain_in_the_same_place_stays(scene, add_terrain, 
 @pytest.mark.skipif(bpy.app.version < (4, 3, 0), reason="Blender tells of appending from 4.3 on")
 @pytest.mark.parametrize("saved", [True, False])
 def test_an_appended_terrain_finds_its_store(scene, add_terrain, tmp_path, saved):
-    terrain, library = add_terrain(), tmp_path / "library" / "valley.blend"
-    save_and_pack(library.parent)
-    folder = absolute(terrain)
-    bpy.ops.wm.save_mainfile()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    if saved:
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    with bpy.data.libraries.load(str(library)) as (_there, here):
-        here.objects = ["Terrain"]
-    [appended] = here.objects
+    appended, folder = in_another_file(add_terrain(), tmp_path, saved, link=False)
     assert appended.adaptive_terrain.store.startswith("//") is saved and absolute(appended) == folder
 
 
 @pytest.mark.parametrize("saved", [True, False])
 def test_a_linked_terrain_made_local_finds_its_store(scene, add_terrain, tmp_path, saved):
-    terrain, library = add_terrain(), tmp_path / "library" / "valley.blend"
-    save_and_pack(library.parent)
-    folder = absolute(terrain)
-    bpy.ops.wm.save_mainfile()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    if saved:
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
-    with bpy.data.libraries.load(str(library), link=True) as (_there, here):
-        here.objects = ["Terrain"]
-    bpy.context.scene.collection.objects.link(here.objects[0])
+    linked, folder = in_another_file(add_terrain(), tmp_path, saved, link=True)
+    bpy.context.scene.collection.objects.link(linked)
     bpy.context.view_layer.update()
-    assert here.objects[0].adaptive_terrain.store == "//terrain/valley_Terrain_store", "the library's own path"
-    bpy.context.view_layer.objects.active = here.objects[0]
-    here.objects[0].select_set(True)
+    assert linked.adaptive_terrain.store == "//terrain/valley_Terrain_store", "the library's own path"
+    bpy.context.view_layer.objects.active = linked
+    linked.select_set(True)
     assert bpy.ops.object.make_local(type="SELECT_OBDATA") == {"FINISHED"}
     bpy.context.view_layer.update()
     local = bpy.data.objects["Terrain"]

@@ -13,44 +13,17 @@ from adaptive_terrain.cbt_terrain.importing.import_process import ImportJob
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.ground import world_ground
 from adaptive_terrain.operators.importing import import_terrain, join_terrains, shared_origin
-from adaptive_terrain.operators.importing.imported import imported_of, loaded_text, tag_object
+from adaptive_terrain.operators.importing.imported import imported_of, loaded_text
 from adaptive_terrain.operators.importing.panel import ImportedPanel
-from adaptive_terrain.operators.importing.shared_origin import place_terrain
 from adaptive_terrain.operators.terrain import frame_terrain, move_world
 from drawn_panels import draw
 from modal_runs import RunningOperator, running, turn
+from placed_terrains import add, placed
 from rasterio.transform import Affine
 from rasterio.warp import transform as warp
 from rasters import hills, write_raster
 
 pytestmark = pytest.mark.usefixtures("imports_here")
-
-
-def add(path, crs, transform, name, heights=None):
-    """Import a file as File > Import does; return the new terrain."""
-    file = write_raster(path / f"{name}.tif", hills() if heights is None else heights, crs=crs, transform=transform)
-    bpy.ops.mesh.adaptive_terrain_from_file(filepath=str(file))
-    bpy.context.view_layer.update()
-    return bpy.context.object
-
-
-def placed(path, crs, transform, name, heights=None):
-    """Import a file in this process, which is faster, and place the new terrain as the operator does."""
-    file = write_raster(path / f"{name}.tif", hills() if heights is None else heights, crs=crs, transform=transform)
-    run_import(ImportSettings(str(file)), path / name)
-    obj = bpy.data.objects.new(name, bpy.data.meshes.new(name))
-    bpy.context.scene.collection.objects.link(obj)
-    obj.adaptive_terrain.enabled, obj.adaptive_terrain.store = True, str(path / name)
-    assert place_terrain(obj, bpy.context.scene, imported_of(obj.adaptive_terrain)) == []
-    bpy.context.view_layer.update()
-    return obj
-
-
-@pytest.fixture
-def saved(scene, tmp_path):
-    """Return the scene and its folder."""
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    return scene, tmp_path
 
 
 def drawn(panel) -> str:
@@ -284,62 +257,6 @@ def test_ground_stays_where_it_is_when_a_raster_grows(saved, is_moved):
     assert np.abs(ground() - before).max() < 0.5, "float32 has steps of 3 cm at 500 km, and this ground is steep"
     assert (rock.matrix_world.translation - stood).length < 0.1
     assert not is_moved or terrain.location.x > 5e5
-
-
-@pytest.mark.parametrize("is_moved", [False, True])
-def test_undo_of_added_tiles_leaves_the_ground_in_its_place(saved, is_moved):
-    """Undo, and a file that was not saved after the import: the store has both files, and the place is the first's."""
-    scene, path = saved
-    heights, corner = hills(80, 30), Affine(10, 0, 6e5, 0, -10, 5.2e6)
-    east = write_raster(
-        path / "east.tif", heights[:, 40:], crs="EPSG:32632", transform=Affine(10, 0, 6e5 + 400, 0, -10, 5.2e6)
-    )
-    terrain = add(path, "EPSG:32632", corner, "west", heights[:, :40])
-    if is_moved:
-        terrain.location, terrain.rotation_euler, terrain.scale = (900.0, 30.0, 7.0), (0.0, 0.0, 0.6), (2.0, 2.0, 1.5)
-    bpy.context.view_layer.update()
-    local = np.array([(x, y, 0.0, 1.0) for x in np.linspace(-180, 180, 9) for y in np.linspace(-130, 130, 7)])
-    world = (local @ np.array(terrain.matrix_world).T)[:, :3]
-
-    def ground():
-        bpy.context.view_layer.update()
-        found = world_ground.ground_of(bpy.data.objects["west"], bpy.context.evaluated_depsgraph_get())
-        return world_ground.find_below([found], world).heights
-
-    before = ground()
-    bpy.ops.wm.save_mainfile()
-    copy = terrain.copy()
-    copy.adaptive_terrain.frozen = "0 of the first raster"
-    scene.collection.objects.link(copy)
-    bpy.ops.ed.undo_push(message="Placed")
-    bpy.context.view_layer.objects.active = terrain
-    assert bpy.ops.adaptive_terrain.add_tiles(filepath=str(east)) == {"FINISHED"}
-    assert np.abs(np.subtract(copy.location, terrain.location)).max() < 1e-3, "a copy shares the store"
-    assert not copy.adaptive_terrain.frozen
-    bpy.ops.ed.undo_push(message="Added")
-    for step in (bpy.ops.ed.undo, bpy.ops.ed.redo, bpy.ops.ed.undo):
-        step()
-        assert imported_of(bpy.data.objects["west"].adaptive_terrain).raster == (80, 30)
-        assert np.abs(ground() - before).max() < 1e-2
-    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
-    assert np.abs(ground() - before).max() < 1e-2 and not len(bpy.data.objects["west"].adaptive_terrain.more_sources)
-    bpy.context.view_layer.objects.active = bpy.data.objects["west"]
-    assert bpy.ops.adaptive_terrain.import_source() == {"FINISHED"}
-    assert imported_of(bpy.data.objects["west"].adaptive_terrain).raster == (40, 30)
-    assert np.abs(ground() - before).max() < 1e-2, "an import of the first file alone"
-
-
-def test_undo_leaves_a_terrain_with_a_chosen_store_alone(saved):
-    scene, path = saved
-    terrain = placed(path, "EPSG:32632", Affine(10, 0, 6e5, 0, -10, 5.2e6), "a")
-    tag_object(terrain)
-    placed(path, "EPSG:32632", Affine(10, 0, 6e5 + 100, 0, -10, 5.2e6), "b")
-    terrain.adaptive_terrain.store = str(path / "b")
-    for height in (1.0, 2.0):
-        terrain.location.z = height
-        bpy.ops.ed.undo_push(message="Moved")
-    bpy.ops.ed.undo()
-    assert list(bpy.data.objects["a"].location) == [0.0, 0.0, 1.0]
 
 
 def test_a_raster_elsewhere_leaves_a_moved_terrain_alone(saved):

@@ -97,7 +97,7 @@ def _decode(path: Path, dataset: DatasetReader, coding: HeightCoding) -> Dataset
     from rasterio.enums import MaskFlags
     from rasterio.windows import Window
 
-    # by an alpha band or a file beside it (.msk), not by a value of one colour
+    # An alpha band or a file beside it (.msk) can hide samples; a no-data value of single colours hides none.
     masked = not {MaskFlags.all_valid, MaskFlags.nodata} & {*dataset.mask_flag_enums[0]}
     shape = {"width": dataset.width, "height": dataset.height, "count": 1, "dtype": "uint32"}
     points, system = dataset.gcps

@@ -46,11 +46,11 @@ def raise_cells(
 ):
     """Set the error codes of cells to the largest old code of themselves and their four neighbours, translated.
 
-    A cell's code also stands for the diamonds on its sides, one bisection deeper, and each of them lies in a neighbour,
-    too: so the neighbours' codes count. The thread works on cell `band_start + offset + tid`. band_start: first cell of
-    the band of rows that is raised, counted row by row from the south. old_cells, cells: layouts of the arrays `old`
-    and `codes`. translated: for each old code the code of a quarter of its error in the new table (of a half on a
-    bicubic surface), rounded up.
+    A cell's code also stands for the diamonds on its sides, one bisection deeper, and each of them is half in a
+    neighbour. Therefore the neighbours' codes count. The thread works on cell `band_start + offset + tid`. band_start:
+    first cell of the band of rows that is raised, counted row by row from the south. old_cells, cells: layouts of the
+    arrays `old` and `codes`. translated: for each old code the code of a quarter of its error in the new table (of a
+    half on a bicubic surface), rounded up.
     """
     p = diamond(cells, band_start + offset + wp.int64(wp.tid()))
     largest = item_at(old, entry(old_cells, p[0], p[1]))

@@ -75,12 +75,7 @@ def submit(
     tiles = []  # of each terrain: number of tiles whose import workers share, 0 if they share none
     for obj in objects:
         tiles.append(_add_terrain(obj, height_maps, folders, outputs, shared_disk))
-        notes += _import_notes(obj, tiles[-1])
-        if not real_path(store_folder_of(obj)).is_relative_to(blend.parent):
-            notes.append(
-                f"the store of {obj.name} is not beside the file: workers that get no copy of it need it at "
-                f"{store_folder_of(obj)}, or press Pack Store Beside File"
-            )
+        notes += [*_import_notes(obj, tiles[-1]), *_place_notes(obj, blend.parent)]
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
         noun = "file or folder" if len(outside) == 1 else "files and folders"
         notes.append(f"the job brings {len(outside):,} {noun} from outside the scene's folder: {named_some(outside)}")
@@ -141,6 +136,17 @@ def _import_notes(obj, num_tiles: int) -> list[str]:
             "one, switch off Shared Disk (--no-shared-disk)"
         ]
     return [f"{state} imports all of it first"] if loaded else []
+
+
+def _place_notes(obj, home: Path) -> list[str]:
+    """Return a note if the store of a terrain is not in the folder of the .blend file, `home`; else []."""
+    store = store_folder_of(obj)
+    if real_path(store).is_relative_to(home):
+        return []
+    return [
+        f"the store of {obj.name} is not beside the file: workers that get no copy of it need it at {store}, or press "
+        "Pack Store Beside File"
+    ]
 
 
 def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path], shared_disk: bool) -> int:

@@ -20,7 +20,6 @@ from .store_paths import find_moved_stores
 _before_save: dict[int, list[str]] = {}  # by session_uid: all paths before a save to another folder
 # Absolute paths by session_uid and relative path, of folders where the open file was before: Undo knows no folder.
 _earlier: dict[tuple[int, str], str] = {}
-
 _linked: dict[str, str] = {}  # absolute paths by relative path, of linked terrains; "" if two libraries have the same
 
 

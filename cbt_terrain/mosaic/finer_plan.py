@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mosaics whose finer files cover little: a grid for the coarser files, and finer tiles where the finer files are.
+"""Mosaics whose finest files cover little: a coarser grid for all the land, and finer tiles where these files are.
 
 A cell of the coarse grid has 2^bits x 2^bits finer cells, those of the grid with the finest step. A finer tile has
 SIDE x SIDE of these; bits are limited (MAX_BITS), because no coarse cell may be larger than a tile.
+
+The coarse grid has the step of the coarser files below the finest ones. A mosaic with wide gaps may have no such files.
+Then all files count as finest ones, and the coarse grid has some of their samples.
 """
 
 from dataclasses import dataclass
@@ -15,6 +18,11 @@ from .target_grid import TargetGrid
 FEWEST = 1 << 29  # samples of a grid with the finest step; fewer are imported with one step in some minutes
 SAVING = 4  # at least this many times fewer samples
 FINER_COST = 4  # time of a finer sample, as a multiple of that of another: 1.6 us of the processor beside 0.4
+MAX_TABLE = 1 << 28  # finer tiles of the whole grid, which a table numbers: 2^22 finest samples along both sides
+# Of a mosaic with wide gaps. Where no file is, a sample takes only 0.1 us, so a plan must save more samples.
+SAVING_OF_GAPS = 8
+BITS_OF_GAPS = 4  # log2 of the finest samples along a coarse cell, at least
+MANY_OF_GAPS = 1 << 26  # samples; a coarse grid has fewer, since most are in gaps: they would fill 350 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,27 +47,42 @@ class FinerPlan:
         return self.grid.width * self.grid.height + FINER_COST * self.tiles * SIDE * SIDE
 
 
-def plan_finer(grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray) -> FinerPlan | None:
+def plan_finer(
+    grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray, fills_gaps: bool
+) -> FinerPlan | None:
     """Return how to divide a mosaic into a coarse raster and tiles of finer files; None if that saves little space.
 
-    None also without a finer file, if the grid has fewer samples than FEWEST, and for a strip of fewer than 3 coarse
-    samples across. grid: with the finest step. levels [files]: 0 for the coarsest, more for finer ones on top of them.
-    steps [files]: samples of the grid between two of a file. boxes [files, 4]: lowest column and row of the grid and
-    highest ones of each.
+    None also if the grid has fewer samples than FEWEST or more tiles than MAX_TABLE, and for a strip of fewer than 3
+    coarse samples across.
+
+    Args:
+        grid: with the finest step.
+        levels: of each file: 0 for the coarsest, more for finer ones on top of them.
+        steps: samples of the grid between two of each file.
+        boxes: [files, 4], lowest column and row of the grid and highest ones of each file.
+        fills_gaps: whether samples in gaps are filled. Holes need the finest step, since they consist of whole cells.
     """
-    is_finer = levels > 0
-    if not is_finer.any() or grid.width * grid.height < FEWEST:
+    if not FEWEST <= grid.width * grid.height <= MAX_TABLE * SIDE * SIDE:
         return None
-    # The coarse step is the largest power of two of finer steps that does not exceed that of a coarse file.
-    bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
+    is_finer, saving = levels > 0, SAVING
+    if is_finer.any():
+        # The coarse step is the largest power of two of finer steps that does not exceed that of a coarse file.
+        bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
+    elif fills_gaps:
+        is_finer, saving, bits = np.ones_like(is_finer), SAVING_OF_GAPS, BITS_OF_GAPS
+        while bits < MAX_BITS and grid.width * grid.height >> 2 * bits >= MANY_OF_GAPS:
+            bits += 1
+    else:
+        return None
     # The coarse grid has every 2^bits-th sample. Finer tiles are stored besides, and together must be few enough.
-    width, height = ((count - 1 >> bits) + 1 for count in (grid.width, grid.height))
+    spare = (1 << bits) - 1 if is_finer.all() else 0  # no finest sample may be beyond the last coarse one
+    width, height = ((count - 1 + spare >> bits) + 1 for count in (grid.width, grid.height))
     low = np.floor(boxes[is_finer, :2]).astype(np.int64) - (grid.column, grid.row)
     high = np.ceil(boxes[is_finer, 2:]).astype(np.int64) - (grid.column, grid.row)
     file_boxes = np.concatenate([low, high], axis=1)
     tiles = _count_tiles(grid, file_boxes)
     needed = width * height + tiles * SIDE * SIDE
-    if bits < 1 or SAVING * needed > grid.width * grid.height or min(width, height) < 3:
+    if bits < 1 or saving * needed > grid.width * grid.height or min(width, height) < 3:
         return None
     # The first coarse sample is on the first fine one, and its column and row are that one's >> bits. The bits that are
     # lost move the origin (x0, y0). So a coarse sample keeps its number when the extent grows by whole cells.

@@ -39,7 +39,7 @@ def open_composite(
 ) -> Composite:
     """Open the mosaic of the settings' sources, as heights on one grid; the caller closes it. Raises TerrainError.
 
-    If its finer files cover little, the composite has the grid of the coarser ones, and `finer` has the finer tiles. A
+    If its finest files cover little, the composite has a coarser grid, and `finer` has the finer tiles. A
     quick import does so only if a complete one takes little longer; otherwise the composite has the finest grid, and
     `finest` has the plan.
 
@@ -53,7 +53,9 @@ def open_composite(
     tile_footprints = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
     # A step of the settings holds everywhere, so there are no finer tiles then.
-    plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes) if settings.step is None else None
+    plan = None
+    if settings.step is None:
+        plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes, fills_gaps=not settings.holes)
     # `quick` is the number of samples of a quick import, 0 for a complete one. Up to WORTHWHILE times as many samples
     # are soon imported completely; plan.work is the number of samples whose import takes as long as the plan's.
     is_quick_enough = plan is not None and (not settings.quick or plan.work <= WORTHWHILE * settings.quick)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mosaics that mostly consist of gaps: the store grows with the files, not with the rectangle around them."""
+
+import numpy as np
+import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.importing import refining
+from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
+from adaptive_terrain.cbt_terrain.importing.refining import with_loaded
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
+from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.terrain import Terrain
+from adaptive_terrain.cbt_terrain.view.criterion import Criterion
+from adaptive_terrain.cbt_terrain.view.view import View
+from fields import mesh_heights
+from finer_imports import assert_same, make_small
+from invariants import assert_invariants
+from mosaic_files import EAST, NORTH, UTM32, sheet
+
+STEP, WIDE, HIGH = 2.0, 300, 200  # metres and samples of a file
+CORNERS = {"a": (EAST, NORTH), "b": (EAST + 12_000.0, NORTH - 9_000.0)}  # of the files, in the north-west
+MIDDLE = EAST + 5_000.0, NORTH - 4_100.0  # corner of a file in the gap
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Make mosaics large from 2^20 samples on, and windows small."""
+    with pytest.MonkeyPatch.context() as patch:
+        make_small(patch)
+        yield patch
+
+
+@pytest.fixture(scope="module")
+def islands(tmp_path_factory, small):
+    """Return the sheets of two files that are 15 km apart, the store of both, and the report."""
+    folder = tmp_path_factory.mktemp("islands")
+    sheets = {name: sheet(UTM32, *corner, STEP, STEP, WIDE, HIGH) for name, corner in CORNERS.items()}
+    for name, one in sheets.items():
+        one.write(folder / "files" / f"{name}.tif")
+    report = run_mosaic_import(ImportSettings(str(folder / "files")), folder / "store")
+    return sheets, folder, report
+
+
+def points_in(field, sheet_, seed, count=4000):
+    """Return points of the terrain between the outer samples of a file, and their coordinates."""
+    a, _, c, _, e, f = field.raster.place
+    rows, columns = sheet_.heights.shape
+    random = np.random.default_rng(seed).random((2, count))
+    x = sheet_.west + sheet_.step_x * (0.5 + random[0] * (columns - 1))
+    y = sheet_.north - sheet_.step_y * (0.5 + random[1] * (rows - 1))
+    return np.stack([(x - c) / a, (y - f) / e], 1), x, y
+
+
+def test_a_store_of_islands_is_small(islands):
+    _, folder, report = islands
+    field = open_store(folder / "store")
+    assert field.lattice.step_x == 16 * STEP and field.raster.finer.bits == 4
+    assert report["finer_step_m"] == [STEP, STEP]
+    whole = (12_000 / STEP + WIDE) * (9_000 / STEP + HIGH)  # samples of the rectangle at the files' step
+    assert sum(file.stat().st_size for file in folder.glob("store/data-*/*.npy")) < 0.6 * whole  # not 5 bytes each
+
+
+@pytest.mark.parametrize("name", CORNERS)
+def test_heights_of_an_island_are_those_of_its_file(islands, name):
+    sheets, folder, _ = islands
+    field = open_store(folder / "store")
+    places, x, y = points_in(field, sheets[name], seed=1)
+    assert np.abs(ground_at(field, places).heights - sheets[name].at(UTM32, x, y)).max() <= field.source_max + 1e-3
+
+
+def test_the_gap_has_heights_of_its_borders(islands):
+    sheets, folder, _ = islands
+    field = open_store(folder / "store")
+    places = (np.random.default_rng(2).random((2000, 2)) - 0.5) * (12_000.0, 9_000.0)
+    known = np.concatenate([one.heights.ravel() for one in sheets.values()])
+    heights = ground_at(field, places).heights
+    assert known.min() - 1e-3 <= heights.min() and heights.max() <= known.max() + 1e-3
+
+
+@pytest.mark.parametrize("name", CORNERS)
+def test_a_mesh_of_an_island_keeps_its_bound(islands, name):
+    sheets, folder, _ = islands
+    field = open_store(folder / "store")
+    places, x, y = points_in(field, sheets[name], seed=3)
+    middle = places.mean(axis=0)
+    update = Terrain(field).update(
+        Criterion(error_px=0.0, error_m=0.25), [View.look((*(middle - [0.0, 900.0]), 1500.0), (*middle, 800.0))]
+    )
+    assert_invariants(update.surface, field.lattice)
+    off = mesh_heights(update.surface, places) - sheets[name].at(UTM32, x, y)
+    assert np.abs(off).max() <= update.bound_m + field.source_max <= 0.26
+
+
+def test_a_file_in_the_gap_gives_a_complete_imports_bytes(islands, small, tmp_path):
+    sheets, folder, _ = islands
+    settings = ImportSettings(str(tmp_path / "files"))
+    for name in CORNERS:
+        sheets[name].write(tmp_path / "files" / f"{name}.tif")
+    run_mosaic_import(settings, tmp_path / "store")
+    sheet(UTM32, *MIDDLE, STEP, STEP, WIDE, HIGH, shift=40.0).write(tmp_path / "files" / "c.tif")
+    for store in ("store", "whole"):
+        run_mosaic_import(settings, tmp_path / store)
+    assert_same(tmp_path / "store", tmp_path / "whole")
+    assert open_store(tmp_path / "store").key != open_store(folder / "store").key
+
+
+@pytest.mark.parametrize(("side", "bits"), [(1 << 15, 4), (1 << 16, 4), (1 << 18, 6)])
+def test_only_a_large_mosaic_of_gaps_has_finer_tiles(side, bits, monkeypatch):
+    """Holes need one step everywhere; so do files that cover a fifth of the rectangle."""
+    monkeypatch.setattr(finer_plan, "FEWEST", 1 << 29)
+    grid = TargetGrid(UTM32, 0.0, 0.0, 1.0, 1.0, 0, 0, side, side)
+    boxes = np.array([[0, 0, 1500, 1500], [side - 1500, side - 1500, side - 1, side - 1]], float)
+    levels, steps = np.zeros(2, np.int64), np.ones(2)
+    plan = finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=True)
+    assert plan.bits == bits and plan.grid.step_x == 2**bits
+    assert (plan.grid.width - 1) << bits >= side - 1  # all samples are inside
+    assert finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=False) is None
+    boxes[0, 2:] = 0.45 * side
+    assert finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=True) is None
+    too_large = grid._replace(width=1 << 24, height=1 << 24)
+    assert finer_plan.plan_finer(too_large, levels, steps, boxes, fills_gaps=True) is None
+
+
+@pytest.mark.thorough
+def test_a_first_picture_of_islands_loads_their_squares(islands, small, tmp_path, monkeypatch):
+    """Then it has the islands' heights, without the rest of the rectangle."""
+    sheets, folder, _ = islands
+    for name, value in (("FEWEST", 1), ("BITS", 6), ("FACTOR", 4)):
+        monkeypatch.setattr(refining, name, value)
+    settings = ImportSettings(str(folder / "files"), quick=8000)
+    run_mosaic_import(settings, tmp_path / "store")
+    tiles = range(refining.picture_tiles(open_store(tmp_path / "store")))
+    run_mosaic_import(with_loaded(settings, tmp_path / "store", tiles), tmp_path / "store")
+    squares = finer_squares(open_store(tmp_path / "store"))
+    assert squares.there and not squares.loaded and squares.is_coarse
+    run_mosaic_import(with_loaded(settings, tmp_path / "store", squares=squares.there), tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    assert finer_squares(field).loaded == squares.there
+    places, x, y = points_in(field, sheets["b"], seed=4)
+    off = ground_at(field, places).heights - sheets["b"].at(UTM32, x, y)
+    assert np.percentile(np.abs(off), 95) < 1.0  # the nearest sample is up to half a step away

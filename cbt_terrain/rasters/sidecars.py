@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files beside a raster that belong to it: world files, .prj, and GDAL's .aux.xml.
+"""Files beside a raster that belong to it: world files, .prj, GDAL's .aux.xml, and rational polynomials.
 
 This module checks an .aux.xml before GDAL parses it. GDAL may read it only if it names no other file.
 """
@@ -18,12 +18,13 @@ from ..errors import TerrainError, shown
 from ..run.named_file import read_start
 from .rasterio_types import CRS, DatasetReader
 
-AUX = ".aux.xml"
+AUX, POLYNOMIALS = ".aux.xml", "_rpc.txt"
 SUFFIXES = (
     *(".prj", ".tfw", ".tifw", ".tiffw", ".pgw", ".pngw", ".wld", ".tab", AUX),
     *(".hdr", ".stx", ".clr", ".ovr", ".msk", ".sgrd", ".ige", ".rrd", ".j2w", ".wpw", ".blw"),
     *(".bilw", ".bipw", ".bqw", ".bsqw", ".fltw", ".demw", ".jp2w", ".webpw"),  # world files by GDAL's rule
     *(".idx", ".msk.ovr", f".msk{AUX}"),  # messages of a GRIB; overviews and flags of a mask
+    *(POLYNOMIALS, ".rpb"),
 )
 MAX_BYTES, MAX_DEPTH = 16 << 20, 64
 LAST_LETTER = chr(sys.maxunicode)  # in the order of texts, after all letters of names
@@ -49,20 +50,22 @@ def sidecars(path: Path) -> list[Path]:
 def is_alone(path: Path) -> bool:
     """Return whether no other file of the folder has a raster's name with another suffix, so that none belongs to it.
 
-    False for a folder that cannot be listed. The file of rational polynomials of dem.tif is dem_RPC.TXT.
+    False for a folder that cannot be listed.
     """
     try:
-        return not _names_beside(path) and not _names_from(path, path.stem.lower() + "_rpc.txt")
+        return not _names_beside(path)
     except OSError:
         return False
 
 
 def _names_beside(path: Path) -> list[str]:
-    """Return the other names in a file's folder that begin with its name up to the suffix, whatever the case.
+    """Return the names in a file's folder that continue its name up to the suffix with a dot or POLYNOMIALS.
 
-    For example dem.tfw and DEM.tif.ovr for dem.tif. Raises OSError for a folder that cannot be listed.
+    The case of letters does not matter: dem.tfw, DEM.tif.ovr and dem_RPC.TXT for dem.tif. Raises OSError for a folder
+    that cannot be listed.
     """
-    return [name for name in _names_from(path, path.stem.lower() + ".") if name != path.name]
+    names = [name for end in (".", POLYNOMIALS) for name in _names_from(path, path.stem.lower() + end)]
+    return [name for name in names if name != path.name]
 
 
 def _names_from(path: Path, start: str) -> list[str]:

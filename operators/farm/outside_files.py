@@ -10,11 +10,11 @@ import bpy
 from ...cbt_terrain.attributes.folder import JSON_NAME as MAPS_JSON
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.store import JSON_NAME as STORE_JSON
-from ...cbt_terrain.rasters import sidecars
+from ...cbt_terrain.rasters.sidecars import SUFFIXES
 from ...cbt_terrain.rasters.source_formats import FORMATS
 from ...cbt_terrain.run.owned_files import LAND, real_path
 
-HEIGHT_MAP_SUFFIXES = {*FORMATS, *(Path(f"name{suffix}").suffix for suffix in sidecars.SUFFIXES)}
+HEIGHT_MAP_ENDS = (*FORMATS, *SUFFIXES)  # of the names of height maps and files beside them
 MAX_NAMED = 10
 
 
@@ -41,7 +41,7 @@ def check_outside(
         for path in outside
         if not any(path.is_relative_to(folder) for folder in terrain_folders)
         and path.suffix.lower() not in bpy.path.extensions_image
-        and not (path in height_maps and path.suffix.lower() in HEIGHT_MAP_SUFFIXES)
+        and not (path in height_maps and path.name.lower().endswith(HEIGHT_MAP_ENDS))
     ]
     if refused and not allowed:
         raise TerrainError(

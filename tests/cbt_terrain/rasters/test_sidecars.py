@@ -29,6 +29,7 @@ PLACE = "<GeoTransform> 600000, 10, 0, 5200000, 0, -20</GeoTransform>"
 SYSTEM = f"<SRS dataAxisToSRSAxisMapping='1,2'>{WKT}</SRS>"
 
 
+RPB_POLYNOMIALS = ("lineNum", "lineDen", "sampNum", "sampDen")
 MASKED = {"PNG": "png", "AAIGrid": "asc", "HFA": "img", "EHdr": "bil", "JP2OpenJPEG": "jp2", "netCDF": "nc"}
 
 
@@ -240,6 +241,31 @@ def test_sidecars_are_found_in_any_case_and_count(tmp_path):
     (tmp_path / "Map2.prj").write_text(WKT)
     digests.add(source_digest(settings))
     assert [path.name for path in sidecars(source)] == ["Map.PGW", "Map.PNG.aux.xml", "map.prj"] and len(digests) == 4
+
+
+@pytest.mark.parametrize("name", ["a_RPC.TXT", "a_rpc.txt", "a.RPB"])
+def test_rational_polynomials_beside_a_file_count(tmp_path, name):
+    source, numbers = bare(tmp_path, "a.tif"), {}
+    before = source_digest(ImportSettings(str(source)))
+    coefficients = [1.0, *[0.0] * 19]
+    if name.endswith("RPB"):
+        for key in ("line", "samp", "lat", "long", "height"):
+            numbers |= {f"{key}Offset": "1", f"{key}Scale": "1"}
+        numbers |= {f"{key}Coef": f"({', '.join(map(str, coefficients))})" for key in RPB_POLYNOMIALS}
+        lines = "".join(f"{key} = {number};\n" for key, number in numbers.items())
+        text = f'satId = "QB02";\nBEGIN_GROUP = IMAGE\n{lines}END_GROUP = IMAGE\nEND;\n'
+    else:
+        for key in ("LINE", "SAMP", "LAT", "LONG", "HEIGHT"):
+            numbers |= {f"{key}_OFF": 1, f"{key}_SCALE": 1}
+        for key in ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN"):
+            numbers |= {f"{key}_COEFF_{k}": number for k, number in enumerate(coefficients, 1)}
+        text = "".join(f"{key}: {number}\n" for key, number in numbers.items())
+    (tmp_path / name).write_text(text)
+    assert sidecars(source) == [tmp_path / name]
+    digest = source_digest(ImportSettings(str(source)))
+    (tmp_path / name).write_text(text + "\n")
+    assert len({before, digest, source_digest(ImportSettings(str(source)))}) == 3, "it was added, then changed"
+    assert "rational polynomials" in " ".join(imported(tmp_path, source)[1]["warnings"])
 
 
 def test_a_raster_is_alone_without_files_of_its_name(tmp_path):

@@ -11,7 +11,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.importing.source_list import INDEX_SUFFIXES
 from adaptive_terrain.cbt_terrain.rasters.source_formats import FORMATS
 from adaptive_terrain.operators import jobs
-from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_SUFFIXES
+from adaptive_terrain.operators.farm.outside_files import HEIGHT_MAP_ENDS
 from adaptive_terrain.operators.importing import menus
 from adaptive_terrain.operators.importing.add_terrain import AddTerrain
 from adaptive_terrain.operators.importing.add_tiles import AddTiles, ImportTiles
@@ -81,7 +81,7 @@ def test_a_missing_file_leaves_no_object(scene, path):
 def test_every_format_can_be_dropped(scene):
     assert bpy.types.FileHandler.bl_rna_get_subclass_py("ADAPTIVE_TERRAIN_FH_height_map") is menus.HeightMapDropped
     assert menus.HeightMapDropped.bl_file_extensions.split(";") == list(FORMATS)
-    assert {".tif", ".r16", ".nc", ".laz", ".zip"} <= set(FORMATS) <= HEIGHT_MAP_SUFFIXES
+    assert {".tif", ".r16", ".nc", ".laz", ".zip"} <= set(FORMATS) <= {*HEIGHT_MAP_ENDS}
     offered = bpy.ops.mesh.adaptive_terrain_from_file.get_rna_type().properties["filter_glob"].default
     assert offered.split(";") == [f"*{suffix}" for suffix in (*FORMATS, *INDEX_SUFFIXES)]
 

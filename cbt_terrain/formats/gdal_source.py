@@ -25,12 +25,13 @@ from ..rasters.rasterio_types import DatasetReader
 from ..rasters.reproject import reproject
 from ..rasters.resampled_file import ResampledFile, Resampling
 from ..rasters.rounding import SourceRounding, band_rounding
-from ..rasters.sidecars import allow_aux_file, aux_files, mask_files, mask_notes, named_crs, unread_mask_notes
+from ..rasters.sidecars import allow_aux_file, aux_files, mask_notes, named_crs, unread_mask_notes
 from ..rasters.source_formats import SourceFormat
 from ..rasters.tiff_orientation import orientation_georeference, orientation_notes, orientation_of
 from ..rasters.units import height_unit
 from .format_choice import format_of
 from .gdal_files import OpenedVrt, ignore_neighbours, open_dataset, open_file, open_vrt, start_gdal
+from .mask_overviews import as_floats, damaged, hide_masked, lacks_mask_overview
 from .vrt_rounding import mosaic_roundings
 from .vrt_units import mosaic_notes
 
@@ -297,12 +298,9 @@ def _window_reader(
             mask = dataset.read_masks(band, window=window) if masked else None
             mask = dataset.read(alpha, window=window) if alpha else mask
         except Exception as reason:
-            raise TerrainError(
-                f"{shown(path)} is damaged or incomplete in rows {first} to {first + count - 1} ({cause(reason)})",
-                fix="get the file again",
-            ) from reason
+            raise damaged(path, first, count, reason) from reason
         if mask is not None:
-            rows = rows.astype(np.float64 if rows.itemsize > 2 and rows.dtype != np.float32 else np.float32)
+            rows = as_floats(rows)
             rows[mask == 0] = np.nan
             return rows
         return blank(rows, no_data)
@@ -314,40 +312,32 @@ def open_overview(path: Path, settings: ImportSettings, width: int, stored: str,
     """Open the overview of a GeoTIFF that has one sample for `max_factor` (2, 4, 8 ...) samples along each side.
 
     Return None if the file has no such overview, if that is coarser than `max_factor` or has another type of samples,
-    if the file has an .aux.xml, and if the mask beside it has no such overview. The caller closes it. The file was
-    opened and checked before. width: columns of the file. stored: type of its samples.
+    and if the file has an .aux.xml. The caller closes it. The file was opened and checked before. width: columns of the
+    file. stored: type of its samples.
     """
     from rasterio.errors import RasterioIOError
 
-    level = max_factor.bit_length() - 2  # overviews 0, 1, 2, ... should be 2, 4, 8, ... times coarser
+    level, band = max_factor.bit_length() - 2, settings.band  # overviews 0, 1, ... should be 2, 4, ... times coarser
     if level < 0 or aux_files(path):  # GDAL ignores its no-data value in overviews
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its position, which takes long to read, is known
         try:
             small = open_dataset(path, "GTiff", OVERVIEW_LEVEL=level, GEOREF_SOURCES="NONE")
-            has_mask = _has_mask_overview(path, level, small.shape)
+            lacks_mask = settings.no_data is None and lacks_mask_overview(path, level, small, band)
+            whole = open_dataset(path, "GTiff", GEOREF_SOURCES="NONE") if lacks_mask else small
         except RasterioIOError:
             return None
         finally:
             ignore_neighbours()  # again: opening may have changed this, and a source of another tile may be a VRT
-    if width > max_factor * small.width or small.dtypes[settings.band - 1] != stored or not has_mask:
-        small.close()
+    if width > max_factor * small.width or small.dtypes[band - 1] != stored:
+        _close(small, whole)
         return None
-    return dataclasses.replace(_band_of(path, small, settings), close=small.close)
-
-
-def _has_mask_overview(path: Path, level: int, shape: tuple[int, int]) -> bool:
-    """Return whether masks beside a raster have an overview of this level and this shape, as (rows, columns).
-
-    True without a mask. GDAL takes all samples of an overview as valid if the mask has none of its shape, and gdaladdo
-    makes overviews of the raster alone. Raises rasterio's errors if a mask has no overview of this level.
-    """
-    for mask in mask_files(path):
-        with open_dataset(mask, "GTiff", OVERVIEW_LEVEL=level) as small:
-            if small.shape != shape:
-                return False
-    return True
+    raster = _band_of(path, small, settings)
+    if whole is not small:
+        window = hide_masked(path, _window_reader(path, small, settings), small.shape, whole, band)
+        raster = dataclasses.replace(raster, window=window, read=lambda row, count: window(row, count, 0, small.width))
+    return dataclasses.replace(raster, close=lambda: _close(small, whole))
 
 
 def _grid_of(dataset: DatasetReader, settings: ImportSettings) -> FileGrid:

@@ -107,8 +107,10 @@ def _open_raster(path: Path, form: SourceFormat, settings: ImportSettings) -> Ra
         original = open_file(path, form)
         notes += unread_mask_notes(path, original)
         dataset = decode_if_coded(path, original, settings)
-    if dataset is not original:  # the copy has one band
-        settings = dataclasses.replace(settings, band=1)
+    if dataset is not original and settings.band != 1:  # the copy has one band
+        dataset.close()
+        what = f"{shown(path)} has heights in the colours of all its bands, not in band {settings.band}"
+        raise TerrainError(what, fix="leave the band out, or name the encoding plain")
     return raster_of(path, dataset, settings, form.driver, notes)
 
 

@@ -17,6 +17,7 @@ from ..rasters.raster import ImportSettings, Raster, blank, cause
 from ..rasters.source_formats import FORMATS
 from ..run.named_file import blocks_reader
 from .archives import archive_of
+from .file_options import LAND, ROWS, check_applies, options_of
 from .format_choice import format_of
 from .header_files import headless_warning, lacks_header
 
@@ -33,8 +34,14 @@ def open_source(settings: ImportSettings) -> Raster:
     """
     from ..rasters.length_scale import length_warnings, mirror_warnings
 
+    settings.check()
+    options = (LAND,) if settings.source in LANDS else options_of(Path(settings.source))
+    check_applies(settings, options)
     raster = open_tile_source(settings)
     grid, place, size = raster.read_grid, raster.georeference, (raster.width, raster.height)
+    if place is not None and settings.first_row_south:
+        raster.close()
+        check_applies(settings, {*options} - {ROWS})  # raises
     if grid is not None and place is not None:
         try:
             mirrored, lengths = mirror_warnings(grid, *size), length_warnings(grid, *size, place)
@@ -168,6 +175,11 @@ def open_raw(path: Path, settings: ImportSettings) -> Raster:
     kind = np.dtype(settings.raw_dtype)
     usual = np.dtype(FORMATS[path.suffix.lower()].raw_dtype or kind)  # by the suffix
     kind = (kind if kind.itemsize == usual.itemsize else usual).newbyteorder("<" if settings.raw_little_endian else ">")
+    if kind.itemsize != np.dtype(settings.raw_dtype).itemsize and settings.raw_dtype != ImportSettings.raw_dtype:
+        raise TerrainError(
+            f"{shown(path)} has samples of {kind.name} by its suffix, not of {settings.raw_dtype}",
+            fix="leave the type out (--raw-type), or rename the file to .raw",
+        )
     size = path.stat().st_size  # bytes
     samples, rest = divmod(size, kind.itemsize)
     width, height = settings.raw_size or (math.isqrt(samples), math.isqrt(samples))

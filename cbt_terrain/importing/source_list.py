@@ -5,14 +5,16 @@ import errno
 import glob
 import itertools
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 from ..errors import TerrainError, check_path, shown
 from ..field.lands import LANDS
 from ..field.store_folder import JSON_NAME
+from ..formats.file_options import FILE, LAND, check_applies, options_of
 from ..rasters.coded_heights import HALF_WORLD, tile_of
 from ..rasters.raster import ImportSettings
-from ..rasters.source_formats import FORMATS
+from ..rasters.source_formats import BAND, CELL, ENCODING, FORMATS
 from ..rasters.tile_names import is_archive_name, is_tile, suffix_of
 from ..run.owned_files import without_dots
 
@@ -36,6 +38,29 @@ def may_name_several(settings: ImportSettings) -> bool:
     Nothing is opened. Only the import's child process looks into an archive.
     """
     return names_several(settings) or suffix_of(Path(settings.source).name) == ".zip"  # without a last "/"
+
+
+def check_options(settings: ImportSettings, given: Collection[str]) -> None:
+    """Raise TerrainError for a setting that the sources do not have, by their names. given: names of those to check.
+
+    A single .zip may have any: what is in it is checked when it is opened.
+    """
+    if names_several(settings):
+        check_applies(settings, options_of_several(settings), given)
+    elif not may_name_several(settings):
+        check_applies(settings, (LAND,) if settings.source in LANDS else options_of(Path(settings.source)), given)
+
+
+def options_of_several(settings: ImportSettings) -> set[str]:
+    """Return the options that several files have: those that one of them has, by its name.
+
+    Files of an archive or a tile index may have any that belongs to files with a position.
+    """
+    suffixes = {suffix_of(path.name.lower().removesuffix(".gz")) for path in files_of(settings)}
+    options = {BAND, ENCODING, CELL}
+    if suffixes.isdisjoint({".zip", *INDEX_SUFFIXES}):
+        options &= {option for suffix in suffixes & FORMATS.keys() for option in FORMATS[suffix].options}
+    return {*options, FILE}
 
 
 def files_of(settings: ImportSettings) -> list[Path]:

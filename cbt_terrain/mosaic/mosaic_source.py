@@ -14,6 +14,8 @@ import numpy as np
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
 from ..formats.archives import UnpackedFiles, archive_of
+from ..formats.file_options import check_applies
+from ..importing.source_list import options_of_several
 from ..importing.thinning import FROM_OVERVIEWS, WORTHWHILE
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
@@ -70,6 +72,7 @@ def open_composite(
 def check_settings(settings: ImportSettings) -> None:
     """Raise TerrainError for settings that several files cannot have."""
     settings.check()
+    check_applies(settings, options_of_several(settings))
     if settings.extent is not None:
         raise TerrainError(
             "An extent in metres is of one file", expected="files with a position", fix="leave the extent out"

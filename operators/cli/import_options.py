@@ -6,7 +6,7 @@ import argparse
 from . import import_verbs
 from .argument_types import MAX_ERROR_M, MAX_INT, argparse_type, count_from_one, pair, path, path_text, positive
 
-PROJECT = {"default": "", "metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
+PROJECT = {"metavar": "utm|EPSG:n", "help": "reproject the raster into this coordinate system"}
 
 
 def add_import(verb: argparse.ArgumentParser) -> None:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs `import` and `info`."""
 
-import dataclasses
 import json
 import os
 import sys
 import time
+from dataclasses import fields
 from pathlib import Path
 
 from ..text.console import Progress, duration, print_line
@@ -21,15 +21,10 @@ def run_import(arguments) -> None:
 
     With --only it does one part of that; with --job it writes a farm's job for it instead. Raises UsageError.
     """
-    from ...cbt_terrain.field.lands import LANDS
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
 
-    source = arguments.sources[0]
-    if source not in LANDS and (arguments.size, arguments.seed) != (None, None):
-        raise UsageError(f"--size and --seed are of built-in lands; {source} is taken as it is")
-    settings = _import_settings(arguments, source=source, more_sources=arguments.sources[1:])
-    _check_contents(arguments, settings)
+    settings = _import_settings(arguments, arguments.sources)
     if bool(arguments.tiles) != (arguments.only in TILED_PARTS):
         raise UsageError(f"--tiles A-B belongs to --only {' and --only '.join(TILED_PARTS)}")
     if arguments.chunk and not arguments.job:
@@ -59,18 +54,6 @@ def run_import(arguments) -> None:
     report.pop("seconds", None)  # without the start and the headers, which are in the time of the last line
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
-
-
-def _check_contents(arguments, settings) -> None:
-    """Raise UsageError for an option of formats that the source does not have. Several files may have any but EXR's."""
-    from ...cbt_terrain.importing.source_list import may_name_several
-    from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, suffixes_with
-
-    several, suffix = may_name_several(settings), Path(settings.source).suffix.lower()
-    for option, suffixes in ((option, suffixes_with(option)) for option in (BAND, CHANNEL, ENCODING, CELL)):
-        is_foreign = suffix not in suffixes and not (several and option != CHANNEL)
-        if getattr(arguments, option) is not None and is_foreign:
-            raise UsageError(f"--{option} is of {', '.join(suffixes)}; {settings.source} is taken as it is")
 
 
 def _write_import_job(arguments, settings) -> list[str]:
@@ -115,19 +98,20 @@ def _described(arguments, is_store: bool) -> dict:
     Raises UsageError for an option that the height map's format does not have.
     """
     paths = arguments.paths
+    is_mesh = len(paths) == 1 and Path(paths[0]).suffix == ".npz"
+    if (is_store or is_mesh) and _given(arguments):
+        raise UsageError(f"{paths[0]} is no height map, so it has no options of an import")
     if is_store:
         from ...cbt_terrain.importing.import_report import describe
 
         return describe(Path(paths[0]))
-    if len(paths) == 1 and Path(paths[0]).suffix == ".npz":
+    if is_mesh:
         from ...cbt_terrain.mesh.archive import read_npz
 
         return read_npz(Path(paths[0]))["info"]
     from ...cbt_terrain.mosaic.mosaic_info import describe_heights
 
-    settings = _import_settings(arguments, source=paths[0], more_sources=paths[1:])
-    _check_contents(arguments, settings)
-    return describe_heights(settings)
+    return describe_heights(_import_settings(arguments, paths))
 
 
 def _verify_store(path) -> None:
@@ -149,10 +133,30 @@ def _all_versions() -> dict:
     return versions() | ({"Blender": bpy.app.version_string} if bpy is not None else {})
 
 
-def _import_settings(arguments, **more):
-    """Return ImportSettings from the arguments of the same names; `more` gives settings that are no arguments."""
+def _import_settings(arguments, sources: list[str]):
+    """Return ImportSettings from the arguments of the same names. Raises UsageError for one without effect."""
+    from ...cbt_terrain.errors import TerrainError
+    from ...cbt_terrain.formats.file_options import UNUSED
+    from ...cbt_terrain.importing.source_list import check_options
     from ...cbt_terrain.rasters.raster import ImportSettings
 
-    names = {field.name for field in dataclasses.fields(ImportSettings)}
-    given = {name: value for name, value in vars(arguments).items() if name in names and value is not None}
-    return ImportSettings(**given, **more)
+    given = _given(arguments)
+    settings = ImportSettings(source=sources[0], more_sources=tuple(sources[1:]), **given)
+    try:
+        check_options(settings, given)
+    except TerrainError as error:
+        raise UsageError(str(error)) if error.code == UNUSED else error from None
+    return settings
+
+
+def _given(arguments) -> dict:
+    """Return the arguments that are settings of an import, by name, without those that were not given."""
+    from ...cbt_terrain.rasters.raster import ImportSettings
+
+    values = {field.name: (getattr(arguments, field.name, None), field.default) for field in fields(ImportSettings)}
+    # A flag that was not given has its default, other arguments are None.
+    return {
+        name: value
+        for name, (value, default) in values.items()
+        if value is not None and not (isinstance(value, bool) and value == default)
+    }

@@ -10,11 +10,11 @@ import bpy
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.store import changed_ns, read_json
-from ...cbt_terrain.formats.header_files import lacks_header
+from ...cbt_terrain.formats.file_options import ROWS, options_of
 from ...cbt_terrain.importing.source_list import may_name_several, names_several
 from ...cbt_terrain.importing.thinning import QUICK_SAMPLES
 from ...cbt_terrain.rasters.raster import ImportSettings
-from ...cbt_terrain.rasters.source_formats import BAND, CELL, ENCODING, RAW, suffixes_with
+from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, RAW
 from .. import jobs
 from ..bridge.evaluated import anchor_of
 from ..bridge.scene_origin import origin_of
@@ -59,10 +59,9 @@ def settings_of(obj) -> ImportSettings:
     mosaic = {}
     if may_name_several(files):  # an archive may hold several, too
         mosaic = {"priority": settings.priority, "step": settings.sample_step or None, "blend": settings.blend}
-    has_encoding, has_cell = (several or has_option(settings.source_path, option) for option in (ENCODING, CELL))
-    has_position = several or has_option(settings.source_path, BAND)  # formats with bands can record one on Earth
+    options = (BAND, ENCODING, CELL) if several else options_of(Path(files.source))
     raw = {}
-    if is_raw(settings.source_path):
+    if RAW in options:
         raw = {
             "raw_size": tuple(settings.raw_size) if all(settings.raw_size) else None,
             "raw_dtype": settings.raw_dtype,
@@ -74,12 +73,12 @@ def settings_of(obj) -> ImportSettings:
         extent=extent,
         no_data=settings.no_data if settings.use_no_data else None,
         holes=settings.holes,
-        band=settings.band,
-        channel=settings.channel,
-        encoding=settings.encoding if settings.encoding != "AUTO" and has_encoding else "",
-        cell=settings.cell if settings.cell and has_cell else None,
-        first_row_south=settings.first_row_south,
-        project=settings.project.strip() if has_position else "",
+        band=settings.band if BAND in options else 1,
+        channel=settings.channel if CHANNEL in options else "",
+        encoding=settings.encoding if settings.encoding != "AUTO" and ENCODING in options else "",
+        cell=settings.cell if settings.cell and CELL in options else None,
+        first_row_south=settings.first_row_south and ROWS in options,
+        project=settings.project.strip() if BAND in options else "",  # formats with bands can record a position
         **raw,
         **heights,
         **mosaic,
@@ -102,17 +101,12 @@ def _files_of(settings) -> ImportSettings:
     return ImportSettings(absolute_path(settings.source_path), more_sources=more)
 
 
-def is_raw(path: str) -> bool:
-    """Return whether a file has samples without a header, so that the panel must ask for their size and type."""
-    return path.lower().endswith(suffixes_with(RAW)) or lacks_header(Path(absolute_path(path)))
-
-
 def has_option(path: str, option: str) -> bool:
-    """Return whether an import option, such as BAND or ENCODING, applies to a file, by the end of its name.
+    """Return whether an import option, such as RAW or BAND, applies to a file, by its name and the header beside it.
 
     Files that have BAND can record their position on Earth, too.
     """
-    return path.lower().endswith(suffixes_with(option))
+    return option in options_of(Path(absolute_path(path)))
 
 
 def summary(report: dict) -> str:

@@ -4,7 +4,7 @@
 from pathlib import PurePath
 
 from ...cbt_terrain.errors import TerrainError
-from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING
+from ...cbt_terrain.rasters.source_formats import BAND, CELL, CHANNEL, ENCODING, RAW
 from ..bridge.scene_origin import origin_of
 from ..session import session
 from ..terrain.properties import FILE
@@ -114,15 +114,13 @@ def is_stale(obj) -> bool:
 
 def _draw_file(column, settings) -> None:
     """Draw the options of one file: those that its format has."""
-    if import_terrain.is_raw(settings.source_path):
+    if has_option(settings.source_path, RAW):
         column.prop(settings, "raw_size")
         column.prop(settings, "raw_dtype")
         column.prop(settings, "raw_little_endian")
-    else:
-        name = next((option for option in (CHANNEL, CELL) if has_option(settings.source_path, option)), BAND)
-        column.prop(settings, name)
-    if has_option(settings.source_path, ENCODING):
-        column.prop(settings, "encoding")
+    for name in (CHANNEL, CELL, BAND, ENCODING):
+        if has_option(settings.source_path, name):
+            column.prop(settings, name)
     column.prop(settings, "first_row_south")
     if has_option(settings.source_path, BAND):
         column.prop(settings, "project")

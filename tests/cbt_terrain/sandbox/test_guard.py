@@ -31,7 +31,7 @@ from adaptive_terrain.cbt_terrain.run import launch
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 launch._loaded.clear()  # the forked process has loaded more
-settings = ImportSettings(source=sys.argv[1], size=33)
+settings = ImportSettings(sys.argv[1], **({} if sys.argv[1].endswith(".npy") else {"size": 33}))
 guard.guard_import(settings, Path(sys.argv[2]))
 before = {kernel.module.name for kernel in launch._loaded}
 run_import(settings, sys.argv[2])

@@ -13,7 +13,8 @@ OPTIONS = ("--no-data", "-1", "--holes", "--band", "2", "--encoding", "mapbox", 
 def seen(tmp_path, monkeypatch):
     """Return a list that gets the settings of imports and descriptions, in place of both; make a folder of tiles."""
     (tmp_path / "tiles").mkdir()
-    (tmp_path / "tiles" / "a.laz").write_bytes(b"a")
+    for name in ("a.laz", "b.tif"):
+        (tmp_path / "tiles" / name).write_bytes(b"a")
     settings = []
     monkeypatch.setattr(import_process, "import_source", lambda given, *_: settings.append(given) or {})
     for name in ("describe_sources", "describe_source"):
@@ -37,5 +38,5 @@ def test_info_reads_files_as_an_import_does(tmp_path, seen):
 def test_options_of_other_formats_are_refused_by_both(tmp_path, seen, capsys):
     for verb in ("import", "--store", tmp_path / "store"), ("info",):
         assert run(*verb, tmp_path / "a.hgt", "--cell", "2.5") == 2
-        assert "--cell is of .las, .laz; " in capsys.readouterr().err
+        assert "(--cell) has no effect on" in capsys.readouterr().err
     assert not seen

@@ -69,9 +69,8 @@ def openjd():
 
 
 def test_a_job_repeats_all_options(tmp_path):
-    np.save(tmp_path / "a.npy", hills(9, 9))
     settings = ImportSettings(
-        str(tmp_path / "a.npy"),
+        str(tmp_path / "a.raw"),
         extent=(10.5, 20.0),
         raw_little_endian=False,
         raw_dtype="int16",
@@ -85,7 +84,7 @@ def test_a_job_repeats_all_options(tmp_path):
     )
     from adaptive_terrain.operators.cli.import_verbs import _import_settings
 
-    assert _import_settings(parsed, source=parsed.sources[0]) == settings
+    assert _import_settings(parsed, parsed.sources) == settings
     mosaic = ImportSettings(
         settings.source,
         more_sources=(settings.source + "b",),
@@ -95,7 +94,7 @@ def test_a_job_repeats_all_options(tmp_path):
         project="utm",
     )
     parsed = parser.build_parser().parse_args(["import", "--store", "s", *import_job.import_arguments(mosaic)])
-    assert _import_settings(parsed, source=parsed.sources[0], more_sources=tuple(parsed.sources[1:])) == mosaic
+    assert _import_settings(parsed, parsed.sources) == mosaic
     template = import_job.import_template(settings)
     import yaml
 

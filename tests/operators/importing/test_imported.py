@@ -5,6 +5,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.field import store as stores
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
-from adaptive_terrain.cbt_terrain.rasters.source_formats import BAND
+from adaptive_terrain.cbt_terrain.rasters.source_formats import BAND, RAW
 from adaptive_terrain.operators.importing import import_terrain
 from adaptive_terrain.operators.importing.imported import (
     Imported,
@@ -21,8 +22,8 @@ from adaptive_terrain.operators.importing.imported import (
     info_lines,
     tag_object,
 )
-from adaptive_terrain.operators.importing.panel import ImportedPanel, is_stale
-from drawn_panels import draw_mocked
+from adaptive_terrain.operators.importing.panel import ImportedPanel, SourcePanel, is_stale
+from drawn_panels import DrawnLayout, draw_mocked
 
 pytestmark = pytest.mark.usefixtures("imports_here")
 
@@ -88,11 +89,42 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
 
 def test_raw_settings_are_for_files_without_a_header(tmp_path):
     (tmp_path / "a.bil").touch()
-    assert import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.is_raw("a.r16")
+    path, has_option = str(tmp_path / "a.bil"), import_terrain.has_option
+    assert has_option(path, RAW) and not has_option(path, BAND) and has_option("a.r16", RAW)
     (tmp_path / "a.hdr").touch()
-    assert not import_terrain.is_raw(str(tmp_path / "a.bil")) and import_terrain.has_option(
-        str(tmp_path / "a.bil"), BAND
-    )
+    assert has_option(path, BAND) and not has_option(path, RAW)
+
+
+RAW_LAYOUT = {"raw_size", "raw_dtype", "raw_little_endian"}
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("a.tif", {"band", "encoding", "project"}),
+        ("a.asc", {"band", "project"}),
+        ("a.npy", set()),
+        ("a.exr", {"channel"}),
+        ("a.laz", {"band", "cell", "project"}),
+        ("a.raw", RAW_LAYOUT),
+        ("a.raw.gz", RAW_LAYOUT),
+        ("a.bil", RAW_LAYOUT),  # without its header
+        ("a.zip", {"band", "encoding", "project"}),
+    ],
+)
+def test_only_options_that_apply_are_drawn_and_used(terrain, name, options):
+    settings = terrain.adaptive_terrain
+    settings.source, settings.source_path = "FILE", f"/nowhere/{name}"
+    settings.raw_size, settings.raw_dtype, settings.raw_little_endian = (9, 9), "int8", False
+    settings.band, settings.channel, settings.encoding, settings.cell = 2, "Z", "mapbox", 3.0
+    settings.project, settings.first_row_south = "utm", True
+    every = RAW_LAYOUT | {"band", "channel", "encoding", "cell", "project", "first_row_south"}
+    used = import_terrain.settings_of(terrain)
+    changed = {field.name for field in dataclasses.fields(used) if getattr(used, field.name) != field.default}
+    layout = DrawnLayout()
+    SourcePanel.draw(SimpleNamespace(layout=layout, _columns=layout.column), bpy.context)
+    drawn = {text.strip("<>") for text in layout.texts}
+    assert changed & every == drawn & every == options | {"first_row_south"}
 
 
 def test_the_object_has_the_properties_of_blendergis(scene, add_terrain, utm, tmp_path):

@@ -41,7 +41,10 @@ def _nursery() -> socket.socket:
     ctypes.CDLL(None).prctl(BECOME_PARENT_OF_ORPHANS, 1, 0, 0, 0)
     # Without Blender's own scripts, which bpy has added: among them is another package bpy, which it alone can import.
     path = os.pathsep.join(folder for folder in sys.path if folder and "scripts" not in Path(folder).parts)
-    environment = os.environ | {"PYTHONPATH": path}
+    from adaptive_terrain.cbt_terrain.run.child import FOREIGN_VARIABLES
+
+    # As for a started child: rasterio reads PROJ_DATA, which a test may have set, when it is imported.
+    environment = {k: v for k, v in os.environ.items() if k not in FOREIGN_VARIABLES} | {"PYTHONPATH": path}
     subprocess.Popen([sys.executable, "-P", __file__], stdin=theirs, env=environment, start_new_session=True)
     theirs.close()
     return ours

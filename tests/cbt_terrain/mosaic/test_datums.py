@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Vertical datums: heights are converted by PROJ's grids if there are any. The grids here are planes, known exactly."""
 
+import functools
 import os
 import struct
+import sys
 
+import forked_children
 import numpy as np
 import pytest
 import rasterio
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing.import_process import import_source
+from adaptive_terrain.cbt_terrain.importing.placing import reproject_point
 from adaptive_terrain.cbt_terrain.importing.tile_crew import ProcessCrew
 from adaptive_terrain.cbt_terrain.mosaic import datums, nearest
 from adaptive_terrain.cbt_terrain.mosaic.datums import ShiftNodes
@@ -181,6 +185,19 @@ def test_a_grid_that_ends_in_a_file_converts_nothing(files, tmp_path, monkeypatc
     write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008, north=50.0)
     report = describe_sources(ImportSettings(str(files)))
     assert any("They were not converted" in text for text in report["warnings"])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="children are forked on Linux")
+def test_a_nursery_of_children_ignores_the_folder_of_grids(tmp_path, monkeypatch):
+    """The first test that forks a child may have set PROJ_DATA, and rasterio reads it once, when it is imported."""
+    monkeypatch.setenv("PROJ_DATA", str(tmp_path / "without_a_table_of_systems"))
+    nursery = functools.cache(forked_children._nursery.__wrapped__)
+    monkeypatch.setattr(forked_children, "_nursery", nursery)
+    try:
+        assert reproject_point.__wrapped__(9.0, 0.0, DEGREES, UTM32) == pytest.approx((500_000.0, 0.0), abs=1e-3)
+        assert nursery.cache_info().currsize == 1
+    finally:
+        nursery().close()
 
 
 def test_shifts_depend_on_the_sample_alone():

@@ -58,17 +58,18 @@ class Drainage:
         launch.once(catchment.fill_lakes, [self.packed(out)], step="routing")
         return out
 
-    def areas(self, filled: np.ndarray) -> np.ndarray:
+    def areas(self, filled: np.ndarray, stream: float = math.inf) -> np.ndarray:
         """Return drainage areas in samples, float64 [n]: each sample's is divided among all lower neighbours.
 
         filled: the lowest surface from which every sample drains, float32 [n] m: that of lakes, elsewhere the ground.
+        stream: samples; areas from this one on are not divided and go to the receiver, as water in a channel.
         Sorts `order` by it, the highest first; donors remain before receivers.
         """
         d = self.packed(filled)
         launch.once(catchment.sort_order, [d, *_scratch_of_sort(len(self.to))], step="routing")
         area = np.ones(len(self.to))  # of each sample alone, to which the kernel adds those upstream
         d.area = flat(area, wp.float64)
-        launch.once(catchment.gather_area, [d], step="routing")
+        launch.once(catchment.gather_area, [d, stream], step="routing")
         return area
 
     def level_lakes(self, filled: np.ndarray, area: np.ndarray) -> None:

@@ -21,6 +21,10 @@ if TYPE_CHECKING:
     from ...kernels.land import water as kernels
 
 YEAR = 365.2425 * 86400.0  # seconds
+# m^3/s, the yield of half a square kilometre at one metre of rain a year. Water of this discharge is a stream: it stays
+# in one channel, and has a surface however shallow it is. Divided among all lower neighbours, streams of the built-in
+# mountains spread to sheets of 500 m on slopes of 1 : 4.
+STREAM = 0.016
 
 DEPTH = LandLayer("water_depth", "m", "Depth of the water, of rivers, lakes and the sea", adds_up=False)
 SPEED = LandLayer("water_speed", "m/s", "Speed of the water", adds_up=False)
@@ -44,12 +48,12 @@ def apply(ground: OperatorGround, values: Mapping[str, float], coarser: Change |
     outlets = (heights <= values["sea"]) | (dry != 0)
     drainage = route(heights, ground.step_x, ground.step_y, outlets, threads)
     filled = drainage.filled()
-    area = drainage.areas(filled)  # samples
+    rain = _rain(ground, values)  # parameters of the kernels; the arrays follow
+    area = drainage.areas(filled, STREAM / rain.runoff if rain.runoff else math.inf)  # samples
     drainage.level_lakes(filled, area)  # in place, each lake to the area of its outlet
     ground.progress(0.8)
     # normal: depth of a uniform flow, as hydraulics calls it.
     normal, surface, speed, discharge = (np.empty(count, np.float32) for _ in range(4))
-    rain = _rain(ground, values)  # parameters of the kernels; the arrays follow
     rain.dry, rain.area = flat(dry, wp.uint8), flat(area, wp.float64)
     rain.heights, rain.filled, rain.normal = (flat(a, wp.float32) for a in (heights, filled, normal))
     rain.surface, rain.speed, rain.discharge = (flat(a, wp.float32) for a in (surface, speed, discharge))
@@ -116,7 +120,9 @@ WATER = HeightOperator(
     halo=lambda _values, _step: math.inf,
     finest=4097,
     conserves="discharge at the rim and the sea is the rain, to 1e-8",
-    converges="of a real valley of 27 km wet area 49, 41, 38 km2 at 513 to 2,049 samples, log discharge r 0.86, 0.92",
+    converges="of the mountains 89, 79, 75 km2 deeper than 5 cm at 513 to 2,049 samples, log discharge r 0.94, 0.96",
     cost_ns=220,
-    source="Quinn et al. 1991 (flow to all lower neighbours), Manning's formula, Leopold and Maddock 1953 (width)",
+    source="Quinn et al. 1991 (flow to all lower neighbours), 1995 (streams), Manning's formula, "
+    "Leopold and Maddock 1953 (width)",
+    version=2,
 )

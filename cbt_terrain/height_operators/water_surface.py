@@ -6,6 +6,7 @@ A dry sample next to water gets the level of that water, below the ground. If th
 river, the sample gets a depth that ends the river half-way.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
 from ..view.linear import add_up
 from .height_operator import OperatorGround
-from .water import DEPTH, DISCHARGE, SPEED, WATER
+from .water import DEPTH, DISCHARGE, SPEED, STREAM, WATER
 
 MAX_SAMPLES = 1025  # along a side of the raster that the surface is built from
 NAMES = DEPTH.name, SPEED.name, DISCHARGE.name
@@ -25,9 +26,10 @@ MIN_DEPTH = 0.05  # metres
 OVER_FLAT_SEA = 0.1  # metres: deep enough to show
 # Largest difference in metres between the heights of one lake.
 SAME = 1e-3
-# m^3/s, the yield of half a square kilometre at one metre of rain a year. Streams of this discharge have a surface
-# however shallow they are, since by depth alone they would have gaps wherever they are fast.
-MIN_DISCHARGE = 0.016
+# Samples of the smallest piece of water. Pits of fewer samples cannot be told from the noise of elevation models: white
+# noise of 2 m and of 5 m makes 15,000 and 41,000 pieces on the built-in mountains at 1,025 samples, 240 and 450 of them
+# this large; without noise 160 of 1,830 are, with 98 % of the wet area.
+MIN_SAMPLES = 9
 # Rows that are read together.
 ROWS = 256
 # Shares of the ground: from which on ground below 0 m is a sea, and that inland water covers.
@@ -99,17 +101,13 @@ def water_surface(
 ) -> Surface:
     """Return the surface of water, with its depth and speed as attributes.
 
-    There is water where it is at least `min_depth` deep or flows with at least MIN_DISCHARGE. Each cell with water at a
-    corner gives two triangles, which are cut at the shore and face up. Without water the surface is empty. heights: of
-    the ground; depth: of the water on it; both float32 [rows, columns], metres. speed, discharge: float32 of the same
-    shape, m/s and m^3/s, None for still water. missing: bool of that shape, holes that no triangle touches, or None.
-    min_depth: metres.
+    Water is shown if it is `min_depth` deep or deeper and stands, or flows with STREAM or more, in connected pieces of
+    MIN_SAMPLES or more. Each cell with water at a corner gives two triangles, which are cut at the shore and face up.
+    Without water the surface is empty. heights: of the ground; depth: of the water on it; both float32 [rows, columns],
+    metres. speed, discharge: float32 of the same shape, m/s and m^3/s; without a discharge all water stands. missing:
+    bool of that shape, holes that no triangle touches, or None. min_depth: metres.
     """
-    wet = depth >= min_depth
-    if discharge is not None:
-        wet |= (discharge >= MIN_DISCHARGE) & (depth > 0.0)
-    if missing is not None:
-        wet &= ~missing
+    wet = _shown(heights.astype(np.float64) + depth, depth, discharge, missing, min_depth)
     # signed_depth: negative at dry samples, where the water level is below the ground, so that the shore is at 0.
     signed_depth, water_height, wet = _extend_to_shore(heights, depth, wet, min_depth)
     corners, sides = _triangles(signed_depth, wet, missing)
@@ -148,6 +146,42 @@ def sea_depth(heights: np.ndarray, level: float) -> np.ndarray:
     return np.maximum(np.float32(level) - heights, np.float32(0.0))
 
 
+def _shown(
+    surface: np.ndarray, depth: np.ndarray, discharge: np.ndarray | None, missing: np.ndarray | None, min_depth: float
+) -> np.ndarray:
+    """Return the samples whose water is shown, bool [rows, columns].
+
+    surface: height of the water's surface, float64 metres; the others as for `water_surface`; all [rows, columns].
+    """
+    wet = depth >= min_depth
+    if discharge is not None:
+        # Along a contour of an even slope the two neighbours have the same level; standing water has it around.
+        levels = np.where(wet, surface, np.inf)
+        level_neighbours = np.zeros(wet.shape, np.int8)
+        for other in _neighbours(levels, np.inf):
+            level_neighbours += abs(other - surface) < SAME
+        wet = (wet & (level_neighbours > 2)) | ((discharge >= STREAM) & (depth > 0.0))
+    if missing is not None:
+        wet &= ~missing
+    return _without_small_pieces(wet)
+
+
+def _without_small_pieces(wet: np.ndarray) -> np.ndarray:
+    """Return wet samples without connected pieces of fewer than MIN_SAMPLES, bool; wet: bool [rows, columns]."""
+    dry = wet.size
+    numbers = np.where(wet, np.arange(wet.size, dtype=np.int32).reshape(wet.shape), dry)
+    # Each sample takes the lowest number around it. After MIN_SAMPLES - 1 rounds a small piece has one number and keeps
+    # it. Of a larger piece, each number has MIN_SAMPLES samples or changes at one of them in the last round.
+    for _ in range(MIN_SAMPLES):
+        before = numbers
+        for other in _neighbours(before, dry):
+            numbers = np.minimum(numbers, other)
+        numbers = np.where(wet, numbers, dry)
+    is_large = np.bincount(before.ravel(), minlength=wet.size + 1) >= MIN_SAMPLES
+    is_large[before[numbers != before]] = True
+    return wet & is_large[before]
+
+
 def _extend_to_shore(
     heights: np.ndarray, depth: np.ndarray, wet: np.ndarray, min_depth: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -183,14 +217,20 @@ def _shore(surface: np.ndarray, depth: np.ndarray, wet: np.ndarray) -> tuple[np.
 
 def _sum_neighbours(array: np.ndarray) -> np.ndarray:
     """Return the sum of the eight neighbours of each sample; samples beyond the border count as 0."""
-    rows, columns = array.shape
-    padded = np.pad(array, 1)
     total = np.zeros_like(array)
+    for other in _neighbours(array, 0.0):
+        total += other
+    return total
+
+
+def _neighbours(array: np.ndarray, beyond: float) -> Iterator[np.ndarray]:
+    """Yield for each of eight directions the neighbours of all samples in it; `beyond` the border, that value."""
+    rows, columns = array.shape
+    padded = np.pad(array, 1, constant_values=beyond)
     for dy in range(3):
         for dx in range(3):
             if (dy, dx) != (1, 1):
-                total += padded[dy : dy + rows, dx : dx + columns]
-    return total
+                yield padded[dy : dy + rows, dx : dx + columns]
 
 
 # The sides of a cell's two triangles: first corner, counter-clockwise from the south-west, and direction. The diagonal

@@ -54,11 +54,12 @@ def flow_weight(d: DrainageArrays, i: wp.int32, k: wp.int32) -> wp.float64:
 
 
 @wp.kernel
-def gather_area(d: DrainageArrays):
+def gather_area(d: DrainageArrays, stream: wp.float64):
     """Pass every sample's area to all lower neighbours by their slopes (Quinn et al. 1991), serially from above.
 
-    In lakes and on flats, without a lower neighbour, it goes to the receiver. `area`: first the samples' weights, then
-    the drainage areas. `order`: sorted by `sort_order`.
+    Areas of `stream` samples or more are channels, whose water stays together (Quinn et al. 1995): they go to the
+    receiver. So do those in lakes and on flats, without a lower neighbour. `area`: first the samples' weights, then the
+    drainage areas. `order`: sorted by `sort_order`.
     """
     for q in range(d.grid.width * d.grid.height):
         i = d.order[q]
@@ -67,7 +68,7 @@ def gather_area(d: DrainageArrays):
             for k in range(9):
                 if k != 4:  # the sample itself
                     total += flow_weight(d, i, k)
-            if total > wp.float64(0.0):
+            if total > wp.float64(0.0) and d.area[i] < stream:
                 area_per_weight = d.area[i] / total
                 for k in range(9):
                     if k != 4:
@@ -75,7 +76,7 @@ def gather_area(d: DrainageArrays):
                         if weight > wp.float64(0.0):
                             j = towards(i, k, d.grid.width)
                             d.area[j] = d.area[j] + area_per_weight * weight
-            else:  # a lake or a flat
+            else:  # a channel, a lake or a flat
                 j = towards(i, wp.int32(d.to[i]), d.grid.width)
                 d.area[j] = d.area[j] + d.area[i]
 

@@ -105,7 +105,8 @@ def _water_mesh(
         level = default_sea(field)
     surface = water_of(field, launch.default_threads(), level)
     if not len(surface.triangles):
-        raise TerrainError(f"There is no water on {name!r}", expected="a lake, a sea or a stream of 0.016 m³/s or more")
+        smallest = "a lake or a sea of nine samples or more, or a stream of 0.016 m³/s or more"
+        raise TerrainError(f"There is no water on {name!r}", expected=smallest)
     return surface, level
 
 

@@ -103,6 +103,16 @@ def test_water_leaves_at_holes():
     assert found["discharge"][out].sum() < whole[out].sum() - 0.9 * missing.sum() * STEP_X * STEP_Y / YEAR
 
 
+def test_a_stream_stays_in_one_channel_on_a_smooth_slope():
+    """A valley of 3.7 km2 ends on a plane of 1 : 4, where its water crosses each row at one sample."""
+    y, x = np.mgrid[:140, :61].astype(float)
+    heights = (1000.0 - 7.5 * y + np.where(y < 70, 30.0, 0.0) * abs(x - 30)).astype(np.float32)
+    found = layers(OperatorGround(heights, 30.0, 30.0, whole=heights.shape), sea=-900.0)["discharge"]
+    for row in found[71:135]:
+        stream = row.argmax()
+        assert row[stream] > 0.8 * 70 * 61 * 900.0 / YEAR and (np.delete(row, stream) < 0.01).all()
+
+
 def test_no_rain_leaves_lakes_and_no_rivers():
     land = ground()
     found = layers(land, rain=0.0, sea=-12000.0)

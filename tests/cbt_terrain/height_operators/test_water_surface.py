@@ -96,14 +96,76 @@ def test_a_stream_across_the_cells_is_one_piece():
 
 
 def test_streams_go_on_where_they_are_fast_and_shallow():
-    heights = np.tile(np.arange(20.0, 0.0, -1.0, dtype=np.float32), (9, 1))
-    depth, discharge = np.zeros((2, 9, 20), np.float32)
+    heights = np.tile(np.arange(24.0, 0.0, -1.0, dtype=np.float32), (9, 1))
+    depth, discharge = np.zeros((2, 9, 24), np.float32)
     depth[4], discharge[4] = 0.1, 0.03
-    depth[4, 8:12] = 0.02
+    depth[4, 10:14] = 0.02
     parts = [surface_on(heights, depth, discharge=q) for q in (None, discharge)]
     assert [np.ptp(p.positions[:, 0]) > 150.0 for p in parts] == [True, True]
     middle = [(abs(p.positions[:, 0]) < 5.0).any() for p in parts]
     assert middle == [False, True]
+
+
+def wet_samples(surface, heights):
+    """Return at which samples a surface has a vertex with water below it, bool."""
+    west, south, _, _ = lattice(heights).rectangle()
+    deep = surface.positions[surface.attributes["water_depth"].array > 0.0]
+    found = np.zeros(heights.shape, bool)
+    found[tuple(np.rint((deep[:, 1::-1] - [south, west]) / [STEP_Y, STEP_X]).astype(int).T)] = True
+    return found
+
+
+def piece_at(wet, row, column):
+    """Return the samples that a wet sample is connected with, over sides and corners of cells."""
+    piece, found = [(row, column)], {(row, column)}
+    while piece:
+        y, x = piece.pop()
+        for at in np.argwhere(wet[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]) + [max(y - 1, 0), max(x - 1, 0)]:
+            if tuple(at) not in found:
+                found.add(tuple(at))
+                piece.append(tuple(at))
+    return found
+
+
+@pytest.mark.parametrize("share", [0.1, 0.25, 0.35])
+def test_pieces_of_fewer_than_nine_samples_are_not_shown(share):
+    wet = np.random.default_rng(int(100 * share)).random((61, 43)) < share
+    wet[50, 2:40] = True  # a long stream, whose samples have far more than nine steps between them
+    heights = np.where(wet, np.float32(4.0), np.float32(5.0))
+    found = wet_samples(surface_on(heights, np.where(wet, np.float32(0.5), np.float32(0.0))), heights)
+    large = np.zeros_like(wet)
+    for row, column in np.argwhere(wet):
+        large[row, column] = len(piece_at(wet, row, column)) >= 9
+    assert np.array_equal(found, large) and large.sum() < wet.sum()
+
+
+def test_pits_of_noise_on_a_slope_show_no_lakes():
+    """A slope of 1 : 20 with noise of 2 m has pits everywhere, and a lake in its one hollow."""
+    heights = np.tile(50.0 - 0.5 * np.arange(90.0), (80, 1)) + np.random.default_rng(3).normal(0.0, 2.0, (80, 90))
+    heights[30:42, 40:54] -= 20.0
+    heights = np.round(heights).astype(np.float32)
+    surface = water_of(from_array(heights, STEP_X, STEP_Y), sea=-100.0)
+    wet = wet_samples(surface, heights)
+    lake = np.zeros_like(wet)
+    lake[30:42, 40:54] = True
+    inner = heights[1:-1, 1:-1]
+    around = [heights[1 + j : 79 + j, 1 + i : 89 + i] for j in (-1, 0, 1) for i in (-1, 0, 1) if i or j]
+    pits = (inner < np.minimum.reduce(around)) & ~lake[1:-1, 1:-1]
+    assert pits.sum() > 300 and (wet[1:-1, 1:-1] & pits).sum() < 0.05 * pits.sum()
+    assert wet[lake].all()
+    level = surface.positions[:, 2]
+    assert (abs(level - np.median(level)) < 0.05).sum() > lake.sum()
+
+
+def test_shallow_water_that_is_no_stream_shows_where_it_stands():
+    slope = np.tile(np.arange(20.0, 0.0, -1.0, dtype=np.float32), (9, 1))
+    depth, discharge = np.full((9, 20), np.float32(0.06)), np.full((9, 20), np.float32(0.01))
+    assert not len(surface_on(slope, depth, discharge=discharge).triangles)
+    for shown in (
+        surface_on(0.0 * slope, depth, discharge=discharge),
+        surface_on(slope, depth, discharge=2 * discharge),
+    ):
+        assert areas(shown).sum() >= 19 * STEP_X * 8 * STEP_Y * (1 - 1e-6)
 
 
 def test_no_triangle_touches_a_hole_and_nothing_is_empty():

@@ -25,6 +25,7 @@ from ..attributes.scale import footprint_levels
 from ..errors import TerrainError
 from ..field import displacement_layers
 from ..field.domain import box_of, make_domain
+from ..field.georeference import from_crs
 from ..field.heightfield import HeightField
 from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
@@ -37,6 +38,7 @@ from .scatter import MAX_TILES, Scatter
 from .squares import Squares
 from .tile import FINEST, POINTS, tile
 
+SAME = 1e-3  # distance of two corners, in cells, that counts as rounding
 SPARE = 1.25  # candidates placed over those needed, since a slow camera needs a few more in the next frame
 
 
@@ -65,7 +67,7 @@ class ScatterGround:
     """A scatter on a placed field, independent of views. A frame history owns it.
 
     `scale`: vertical scale and offset. `boundary`: see ScatterRequest. `box`: of the terrain, float64 [2, 3] metres.
-    `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row.
+    `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row of the raster.
     """
 
     field: HeightField
@@ -89,7 +91,7 @@ class ScatterGround:
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)  # 0: no meshlets
         detail = displacement_layers.pack_layers(field.detail, field.finest_edge, field.lattice)
         pattern, tiles = _pattern(field, request.scatter)
-        flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, tiles)
+        flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, pattern, tiles)
         return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
 
     def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
@@ -188,7 +190,10 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
         )
     # Shifts for each seed in fractions of a side (R2 of Roberts, 2018).
     shift = (scatter.seed * 0.7548776662466927) % 1.0, (scatter.seed * 0.5698402909980532) % 1.0
-    pattern.west, pattern.south = west - side * shift[0], south - side * shift[1]
+    corner = _corner_of(field, scatter)
+    pattern.west, pattern.south = corner[0] - side * shift[0], corner[1] - side * shift[1]
+    pattern.first_x = math.floor((west - pattern.west) / side)
+    pattern.first_y = math.floor((south - pattern.south) / side)
     pattern.side, pattern.seed, ranked = side, scatter.seed, tile()
     pattern.place = shared(ranked.place, wp.vec2i)
     pattern.order = flat(np.concatenate(ranked.order), wp.int32)
@@ -198,14 +203,29 @@ def _pattern(field: HeightField, scatter: Scatter) -> tuple[Pattern, int]:
     return pattern, tiles
 
 
-def _style(scatter: Scatter, tiles: int) -> kernels.ScatterStyle:
+def _corner_of(field: HeightField, scatter: Scatter) -> tuple[float, float]:
+    """Return the point from which tiles are counted, metres in the terrain's space.
+
+    It is the scatter's corner, or the raster's own in the south-west if the scatter has none, or one that is the same
+    up to rounding or more than MAX_TILES tiles away.
+    """
+    raster_corner, place = field.lattice.rectangle()[:2], field.raster.known_place
+    if scatter.corner is None or place is None:
+        return raster_corner
+    corner = from_crs(place, np.array([scatter.corner]))[0]
+    distance = float(np.abs(corner - raster_corner).max())
+    rounding = SAME * min(field.lattice.step_x, field.lattice.step_y)
+    return tuple(corner.tolist()) if rounding < distance < MAX_TILES * scatter.tile_side else raster_corner
+
+
+def _style(scatter: Scatter, pattern: Pattern, tiles: int) -> kernels.ScatterStyle:
     """Return the sizes, the alignment and a table of rotations about the vertical for kernels.
 
     It has cosines and sines of half of each angle, as quaternions do, rounded so that all C libraries give the same
     bytes. tiles: number of tiles in a row of the pattern.
     """
     style = kernels.ScatterStyle()
-    style.seed, style.tiles = scatter.seed, tiles
+    style.seed, style.tiles, style.first_tile = scatter.seed, tiles, pattern.first_y * tiles + pattern.first_x
     style.size, style.variation, style.align = scatter.size, scatter.variation, scatter.align
     half = [math.pi * k / int(kernels.TURNS) for k in range(int(kernels.TURNS))]
     for name, function in (("cosine", math.cos), ("sine", math.sin)):

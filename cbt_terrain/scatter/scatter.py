@@ -32,6 +32,8 @@ class Scatter:
         margin_deg, margin_m: margin around the frame in degrees and metres of the world, for objects that reach or cast
             light into it.
         seed: selects other points.
+        corner: CRS coordinates (x, y) from which points are counted, those of the raster's south-western corner at
+            first; None for its present one. So points stay if the raster grows.
     """
 
     spacing: float = 10.0
@@ -45,6 +47,7 @@ class Scatter:
     margin_deg: float = 5.0
     margin_m: float = 0.0
     seed: int = 0
+    corner: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Convert numbers to plain ones. Raise TerrainError for a value out of range."""

@@ -77,10 +77,15 @@ def squares_in_view(
     max_density: of the points, 0 .. 1, as a fraction of those of a tile. Raises TerrainError for more than
     MAX_CANDIDATES points.
     """
-    _, _, east, north = field.lattice.rectangle()
-    tiles = max(1.0, (east - west) / side, (north - south) / side)
+    raster_west, raster_south, east, north = field.lattice.rectangle()
+    # The raster's corners in tiles from the corner of tile (0, 0).
+    begin, end = (np.array([x - west, y - south]) / side for x, y in ((raster_west, raster_south), (east, north)))
+    tiles = max(1.0, *(end - np.floor(begin)))
     halvings = -max(0, int(np.ceil(np.log2(tiles))))  # below 0: a square of 2^-halvings tiles a side
-    numbers, final_squares = np.zeros((1, 2), np.int32), []  # squares of this size to look at; fields of `Squares`
+    first, last = np.floor(begin * 2.0**halvings).astype(int), np.ceil(end * 2.0**halvings).astype(int)
+    roots = np.meshgrid(*(np.arange(i, max(i + 1, j), dtype=np.int32) for i, j in zip(first, last, strict=True)))
+    # Squares of this size to look at; fields of `Squares`.
+    numbers, final_squares = np.stack(roots, axis=-1).reshape(-1, 2), []
     while len(numbers):
         density_range = np.empty((len(numbers), 2))
         packed = _pack_squares(field, west, south, side * 2.0**-halvings)

@@ -66,7 +66,8 @@ class ScatterStyle:
     size: wp.float32  # mean size
     variation: wp.float32  # variation of the size as a fraction, in both directions
     align: wp.float32  # 0: upright; 1: along the normal
-    tiles: wp.int64  # in a row
+    tiles: wp.int64  # in a row of the raster
+    first_tile: wp.int64  # first_y * tiles + first_x of the pattern
     cosine: wp.array(dtype=wp.float32)  # of half of each of the TURNS rotation angles
     sine: wp.array(dtype=wp.float32)
 
@@ -242,7 +243,7 @@ def fill_points(
     """
     for t in range(begin, end):
         run = runs[t]
-        tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x)
+        tile = wp.int64(run.tile_y) * style.tiles + wp.int64(run.tile_x) - style.first_tile
         tile_bits = tile_hash(style.seed, run.tile_x, run.tile_y)
         for k in range(chosen.counts[t]):
             n = first[t] + k

@@ -30,6 +30,8 @@ class Pattern:
     west: wp.float64  # of tile (0, 0), metres
     south: wp.float64
     side: wp.float64  # of a tile, metres
+    first_x: wp.int32  # column and row of the raster's south-western tile
+    first_y: wp.int32
     seed: wp.uint32
 
 
@@ -110,8 +112,8 @@ def seam_density(pattern: Pattern, x: wp.int32, y: wp.int32, rank: wp.int32, q: 
     if to_border * to_border >= apart2:  # no other tile is near
         return wp.float64(1.0)
     smallest2 = apart2
-    for j in range(wp.max(y - 1, 0), y + 2):
-        for i in range(wp.max(x - 1, 0), x + 2):
+    for j in range(wp.max(y - 1, pattern.first_y), y + 2):
+        for i in range(wp.max(x - 1, pattern.first_x), x + 2):
             p = wp.vec2i(q[0] + ((x - i) << UNIT_BITS), q[1] + ((y - j) << UNIT_BITS))
             outside_x = wp.float64(distance_outside(p[0]))
             outside_y = wp.float64(distance_outside(p[1]))

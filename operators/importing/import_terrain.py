@@ -262,10 +262,12 @@ class ImportOperator(JobOperator):
             notes = shared_origin.system_notes(obj, origin_of(context.scene), found)
         shared_origin.keep_ground(obj, shift, is_placed=follows)
         shared_origin.follow_store(obj)
+        if not shared_origin.keep_scatter_corner(obj, before, found):
+            notes += filter(None, [scatter_note(obj, before)])
         self.before = found  # for the next call of a quick import
         context.view_layer.update()
         self._show_in_viewports(context, obj, before)
-        self._report_and_update(obj, report, before, notes)
+        self._report_and_update(obj, report, notes)
         if self.baked not in ("", folder):
             self.report(
                 {"WARNING"}, f"The terrain has its imported heights again; its baked land stays in {self.baked}"
@@ -301,18 +303,17 @@ class ImportOperator(JobOperator):
         if done:
             self.report({"INFO"}, frame_terrain.to_sentence(done))
 
-    def _report_and_update(self, obj, report: dict, before: imported.Imported | None, placing: list[str]) -> None:
+    def _report_and_update(self, obj, report: dict, placing: list[str]) -> None:
         """Report figures and warnings of an import, and update the mesh or let the live update do it.
 
         Warnings are last, because the status bar shows only the last message of an operator. An error of the update is
-        a warning, too. report: of the import. before: facts of the earlier raster, None without one. placing: notes
-        about the terrain's place.
+        a warning, too. report: of the import. placing: notes about the place of the terrain and its scatters.
         """
         if note := picture_note(imported.imported_of(obj.adaptive_terrain)):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
         notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
-        notes += [note for note in (outdated_note(obj), scatter_note(obj, before)) if note] + placing
+        notes += [note for note in [outdated_note(obj)] if note] + placing
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         try:

@@ -31,6 +31,7 @@ from ..bridge.scene_origin import (
     unit_lengths,
 )
 from ..bridge.scene_paths import absolute_path
+from ..scatter.request import CORNER
 from ..session import session
 from ..terrain import move_world
 from .imported import LONGEST_CRS, Imported, imported_of, tag_object
@@ -76,12 +77,35 @@ def origin_shift(obj, before: Imported | None, imported: Imported | None, anchor
     It is 0 for rasters whose extents do not overlap or that have no common system. before: facts of the earlier raster,
     None without one. imported: of the new one. anchor: of the terrain before.
     """
-    if before is None or imported is None or before.crs != imported.crs or None in (before.place, imported.place):
+    if not _overlap(before, imported):
         return np.zeros(2)
-    new_points = np.array([(0.0, 0.0), anchor_of(obj)])
-    middle, new_anchor = from_crs(before.place, to_crs(imported.place, new_points))  # metres in the earlier raster
-    reach = (np.array(before.extent_m) + imported.extent_m) / 2
-    return new_anchor - anchor if (np.abs(middle) < reach).all() else np.zeros(2)
+    (new_anchor,) = from_crs(before.place, to_crs(imported.place, np.array([anchor_of(obj)])))
+    return new_anchor - anchor  # metres in the earlier raster
+
+
+def _overlap(before: Imported | None, imported: Imported | None) -> bool:
+    """Return whether two rasters have a common system and their extents overlap; False without one of them."""
+    if before is None or imported is None or before.crs != imported.crs or None in (before.place, imported.place):
+        return False
+    middle = from_crs(before.place, to_crs(imported.place, np.zeros((1, 2))))[0]  # metres in the earlier raster
+    return bool((np.abs(middle) < (np.array(before.extent_m) + imported.extent_m) / 2).all())
+
+
+def keep_scatter_corner(obj, before: Imported | None, imported: Imported | None) -> bool:
+    """Note the point from which the scatters of a terrain count, so that a larger raster does not move their points.
+
+    It is the south-western corner of the terrain's first raster with coordinates, until one is imported that does not
+    overlap with the one before. Return whether the point has stayed. before: facts of the earlier raster, None without
+    one. imported: of the new one.
+    """
+    stays = _overlap(before, imported) and bool(imported.crs)
+    if stays and CORNER in obj:
+        return True
+    first = before if stays else imported
+    obj.pop(CORNER, None)
+    if first is not None and first.crs and first.place is not None:
+        obj[CORNER] = to_crs(first.place, np.array([first.extent_m]) / -2)[0].tolist()
+    return stays
 
 
 def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:

@@ -4,7 +4,7 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ...cbt_terrain.history.frame_history import FrameHistory
     from ...cbt_terrain.scatter.points import ScatterPoints
 
+# Custom property of a terrain: coordinates of the point from which its scatters count, see Scatter.corner.
+CORNER = "adaptive_terrain_scatter_corner"
 # Largest memory of a point as an instance: measured in Blender 5.2, in a viewport and in Cycles.
 POINT_BYTES = 1500
 # Points of a scatter: a viewport draws them in every frame, and makes them again at every move of a slider.
@@ -100,6 +102,8 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
     returns the views that limit the points; called only if there is a visible scatter. Raises TerrainError.
     """
     settings, items = terrain.evaluated_get(depsgraph).adaptive_terrain, []
+    noted = terrain.get(CORNER)
+    corner = tuple(noted) if getattr(noted, "typecode", "") == "d" and len(noted) == 2 else None
     for obj in scatters_of(terrain):
         evaluated = obj.evaluated_get(depsgraph)
         if not (evaluated.is_evaluated and (render or obj.visible_get(view_layer=depsgraph.view_layer))):
@@ -108,7 +112,7 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
         on_mesh = properties.roots == MESH
         culls = properties.cull_hidden and not on_mesh  # hidden triangles may be coarse, and carry points up into sight
         try:
-            scatter = scatter_of(properties, settings)
+            scatter = replace(scatter_of(properties, settings), corner=corner)
         except TerrainError as error:
             raise error.within(f"The scatter {obj.name!r} cannot be made") from None
         sea_level = properties.sea_level if properties.use_sea else -math.inf

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shaped land that a terrain's settings ask for."""
 
+from pathlib import Path
+
 from ...cbt_terrain.field import store_folder
 from ...cbt_terrain.height_operators import derived_store
 from ...cbt_terrain.height_operators.derived_store import Land
@@ -27,7 +29,8 @@ def land_of(obj, evaluated, depsgraph, waits: bool) -> Land | None:
         return None
     if not waits and not obj.visible_get(view_layer=depsgraph.view_layer):
         return None
-    source = absolute_path(settings.store)
+    # Save As to another folder gives the store's path `..`, and the land stays the same.
+    source = str(owned_files.without_dots(Path(absolute_path(settings.store))))
     folder = folder_beside(source)
     owned_files.check_folder(folder, MASKS, store_folder.TILES)  # raises if one of these is a link or a user's file
     stack = land_stack.stack_of(evaluated, depsgraph, folder / MASKS)

@@ -90,6 +90,22 @@ def test_a_list_that_changes_during_a_bake_stays(bake, terrain):
     assert terrain.adaptive_terrain.store == source and open_store(source + "_baked")
 
 
+def test_saving_elsewhere_during_a_bake_changes_no_list(terrain, tmp_path, monkeypatch):
+    """Blender rewrites the store's path for the new folder, with `..`."""
+    (tmp_path / "second").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    terrain.adaptive_terrain.store = "//hills"
+    add("scree", depth=80.0)
+    bpy.ops.adaptive_terrain.shape()
+    event = hold(monkeypatch, bake_land, "copy_store")
+    operator = running(BakeLand, terrain)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "second" / "b.blend"))
+    assert terrain.adaptive_terrain.store == "//../hills"
+    event.set()
+    assert to_the_end(operator) == {"FINISHED"} and operator.report.call_args.args[0] == {"INFO"}
+    assert terrain.adaptive_terrain.store == "//../hills_baked" and not terrain.adaptive_terrain.land.entries
+
+
 def test_a_window_refuses_to_bake_unshaped_land(terrain):
     add("scree")
     operator = running(BakeLand, terrain)

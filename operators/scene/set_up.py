@@ -60,6 +60,10 @@ class SetUpScene(bpy.types.Operator):
         default=0.4, min=0.0, max=0.95, subtype="FACTOR",
     )  # fmt: skip
 
+    # Matrix to the world and lens in mm of the viewport before it showed the camera: a changed option of the box runs
+    # the operator again.
+    viewed: tuple | None = None
+
     @classmethod
     def poll(cls, context):
         """Return whether the active terrain has a store; otherwise set the reason that Blender shows."""
@@ -74,7 +78,7 @@ class SetUpScene(bpy.types.Operator):
         if (
             not self.properties.is_property_set("view")
             and viewport is not None
-            and defaults.is_default_view(viewport[1])
+            and defaults.is_default_view(viewport[-1])
         ):
             self.view = ACROSS
         return self.execute(context)
@@ -108,34 +112,39 @@ class SetUpScene(bpy.types.Operator):
     def _place_camera(self, context, obj):
         """Return the scene's camera at the chosen view, with a clip range for the terrain.
 
-        It is the camera of an earlier click, the unchanged one of the start-up file, or a new one. A camera of the user
-        through which the viewport looks stays as it is, except for a clip range that ends too early. With the view
-        across the terrain, the viewport goes there, too.
+        It is the camera of an earlier click, the unchanged one of the start-up file, or a new one, and the viewport
+        looks through it. A camera of the user through which the viewport looks stays as it is, except for a clip range
+        that ends too early.
         """
         scene, viewport = context.scene, viewpoint.viewport_of(context)
-        through_camera = viewport is not None and viewport[1].view_perspective == "CAMERA"
+        through_camera = viewport is not None and viewport[-1].view_perspective == "CAMERA"
         built_camera = find_built(scene, built.CAMERA)
         if built_camera is not None and scene.objects.get(built_camera.name) != built_camera:
             built_camera = None  # deleted by the user
         current = scene.camera
-        if self.view == CURRENT and through_camera and current is not None and not defaults.is_default_camera(current):
+        if viewport is not None and not through_camera:
+            _, area, _, region_3d = viewport
+            self.viewed = region_3d.view_matrix.inverted(), viewpoint.lens_of(area.spaces.active)
+        is_users = current is not None and not defaults.is_default_camera(current)
+        if self.view == CURRENT and through_camera and is_users and self.viewed is None:
             frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
             return current
         if built_camera is None:
             built_camera = current if defaults.is_default_camera(current) else _add_camera(scene)
             remember_built(scene, built.CAMERA, built_camera)
         built_camera.data.lens = viewpoint.LENS_MM
-        if self.view == CURRENT and viewport is not None and not through_camera:
-            space, region_3d = viewport
-            to_world, built_camera.data.lens = region_3d.view_matrix.inverted(), viewpoint.lens_of(space)
+        if self.view == CURRENT and self.viewed is not None:
+            to_world, built_camera.data.lens = self.viewed
         else:
             to_world = viewpoint.view_across(obj)
             if viewport is not None:  # it then orbits about a point half a terrain ahead
-                viewpoint.look_from(viewport[1], to_world, distance=0.5 * sight.diagonal(sight.box_of(obj)))
+                viewpoint.look_from(viewport[-1], to_world, distance=0.5 * sight.diagonal(sight.box_of(obj)))
         built_camera.matrix_world = to_world
         built_camera.data.clip_start, built_camera.data.clip_end = viewpoint.clip_range(obj, to_world.translation)
         leave_map(scene)  # a map camera has changed the size of the picture
         scene.camera = built_camera
+        if viewport is not None:
+            viewpoint.look_through_camera(*viewport)
         return built_camera
 
 

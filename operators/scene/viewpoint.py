@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The place of a camera: where a viewport looks from, or the view that shows most kinds of ground."""
+"""The place of a camera: where a viewport looks from, or the view that shows most kinds of ground.
+
+A viewport that looks through the camera of Set Up Scene stays where it is if Undo takes that camera away.
+"""
 
 import math
 
+import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 from mathutils import Matrix, Vector
 
 from ..land import shaped_land
 from ..terrain import frame_terrain, sight
+from .built import CAMERA, find_built
 
 SAMPLES = 129  # a side, of the heights that decide the view across
 # Eyes that are compared for the view across: number a side, the fraction of the sides over which they are spread, and
@@ -29,19 +35,17 @@ EDGE = 2.5  # weight of the terrain's border where it stands before the sky
 MIN_SEA, INLAND = 0.01, 0.05
 LENS_MM, SENSOR_MM = 28.0, 36.0
 FACTORY_CLIP = 0.1, 100.0  # metres, of a new camera
+_has_built_camera = False  # before an Undo: the scene's camera is that of Set Up Scene
 
 
 def viewport_of(context) -> tuple | None:
-    """Return the space and the `region_3d` of the viewport where an operator runs, or of the scene's largest one.
+    """Return window, area, region and `region_3d` of the viewport where an operator runs, or of the largest one.
 
     None if no window shows the scene in a viewport.
     """
     found = frame_terrain.shown_viewports(context.window_manager, context.scene)
     found = [view for view in found if view[1] == context.area] or found
-    if not found:
-        return None
-    _, area, _, region_3d = max(found, key=lambda view: view[2].width * view[2].height)
-    return area.spaces.active, region_3d
+    return max(found, key=lambda view: view[2].width * view[2].height, default=None)
 
 
 def lens_of(space) -> float:
@@ -55,6 +59,39 @@ def look_from(region_3d, camera_to_world: Matrix, distance: float) -> None:
     region_3d.view_rotation = camera_to_world.to_quaternion()
     region_3d.view_distance = distance
     region_3d.view_location = camera_to_world @ Vector((0.0, 0.0, -distance))
+
+
+def look_through_camera(window, area, region, region_3d) -> None:
+    """Let a viewport look through the scene's camera, and fit its frame, unless it has chosen another camera."""
+    if not area.spaces.active.use_local_camera:
+        region_3d.view_perspective = "CAMERA"
+        with bpy.context.temp_override(window=window, area=area, region=region):
+            bpy.ops.view3d.view_center_camera()
+
+
+def _shows_built_camera(scene) -> bool:
+    """Return whether the scene's camera is that of Set Up Scene."""
+    return scene.camera is not None and scene.camera == find_built(scene, CAMERA)
+
+
+@persistent
+def on_undo_pre(scene, _unused=None) -> None:
+    """Note whether the scene's camera is that of Set Up Scene."""
+    global _has_built_camera
+    _has_built_camera = _shows_built_camera(scene)
+
+
+@persistent
+def on_undo_post(scene, _unused=None) -> None:
+    """Let viewports leave the camera's view after Undo of Set Up Scene.
+
+    The camera before may be inside the ground, or missing.
+    """
+    if not _has_built_camera or _shows_built_camera(scene):
+        return
+    for *_, region_3d in frame_terrain.shown_viewports(bpy.context.window_manager, scene):
+        if region_3d.view_perspective == "CAMERA":
+            region_3d.view_perspective = "PERSP"
 
 
 def view_across(obj) -> Matrix:
@@ -156,3 +193,6 @@ def clip_range(obj, eye: Vector) -> tuple[float, float]:
     furthest = float(np.linalg.norm(box - np.array(eye), axis=1).max())
     start, end = sight.clip_that_shows(box, furthest, FACTORY_CLIP)
     return min(start, frame_terrain.NEAREST_CAMERA_START), end
+
+
+HANDLERS = {"undo_pre": on_undo_pre, "undo_post": on_undo_post}

@@ -86,8 +86,10 @@ def test_a_dropped_file_and_a_click_make_a_scene(program, tmp_path):
     assert report["followed"] == [True, False, True], "after the import, Set Up Scene and its undo"
     assert report["unturned"], "the import moves the viewport without turning it"
     assert report["after"] == ["Camera", "Terrain Sun", "dem"]
-    assert report["camera_off"] < 1e-4, "the camera looks from where the viewport looks"
-    assert report["undone"] == report["before"], "one step for Undo"
+    assert max(report["camera_off"]) < 1e-4, "the camera looks from where the viewport looks, also after a change"
+    assert report["sun"] == pytest.approx(np.sin([0.3, 0.5, 0.3, 1.0]), abs=1e-5)
+    assert report["looks"] == [*["CAMERA"] * 5, "PERSP"], "it leaves the camera at Undo of the first click"
+    assert report["undone"] == report["before"], "one step for Undo a click"
 
 
 def test_a_restored_terrain_is_imported_again(program, tmp_path):

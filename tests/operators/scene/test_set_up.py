@@ -13,6 +13,7 @@ from adaptive_terrain.operators.scene import defaults, viewpoint
 from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
 from adaptive_terrain.operators.terrain import sight
+from mathutils import Matrix
 from rendered_pictures import pixels_of
 
 SET_UP = bpy.ops.adaptive_terrain
@@ -276,6 +277,25 @@ def test_the_view_across_shows_water_and_hides_the_border():
     assert 90.0 < height < 1200.0
     moved, turned = viewpoint._best_view(x + 16384.0, x - 8192.0, z, 90.0)  # with the anchor elsewhere
     assert moved == (east + 16384.0, north - 8192.0, height) and turned == azimuth
+
+
+def test_the_viewport_looks_through_a_new_camera(factory, add_terrain, monkeypatch):
+    """It does not enter the view of a user's camera, which stays if the viewport looks through it already."""
+    add_terrain()
+    entered, eye = [], Matrix.Translation((100.0, -900.0, 400.0)) @ Matrix.Rotation(1.2, 4, "X")
+    region_3d = SimpleNamespace(view_perspective="PERSP", view_matrix=eye.inverted())
+    area = SimpleNamespace(spaces=SimpleNamespace(active=SimpleNamespace(lens=50.0)))
+    monkeypatch.setattr(viewpoint, "viewport_of", lambda context: (None, area, None, region_3d))
+    monkeypatch.setattr(viewpoint, "look_through_camera", lambda *viewport: entered.append(viewport[-1]))
+    SET_UP.set_up_scene()
+    bpy.context.view_layer.update()
+    assert entered == [region_3d]
+    np.testing.assert_allclose(factory.camera.matrix_world, eye, atol=1e-3)
+    mine = bpy.data.objects.new("Mine", bpy.data.cameras.new("Mine"))
+    factory.collection.objects.link(mine)
+    factory.camera, region_3d.view_perspective = mine, "CAMERA"
+    SET_UP.set_up_scene()
+    assert factory.camera == mine and mine.location.length == 0.0 and len(entered) == 1
 
 
 @pytest.mark.parametrize("turned", [False, True])

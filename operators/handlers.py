@@ -171,11 +171,18 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
 
 
 @_unless_paused
+@allow_writing
 def on_render_pre(scene, _unused=None) -> None:
-    """Record the frame that is to be rendered, and return freed memory to the system for the renderer."""
+    """Record the frame that is to be rendered, and return freed memory to the system for the renderer.
+
+    Terrains whose stores were replaced by another program move before the frame is evaluated.
+    """
     freed_memory.give_back()  # The render needs it. Getting fresh pages later takes less time than the render.
     _rendered_frames[scene.session_uid] = scene.frame_current, scene.frame_subframe
     _joined_frames.clear()
+    for obj in session.all_terrains():
+        if not obj.hide_render:
+            live.follow_replaced_store(obj)
 
 
 @_unless_paused

@@ -14,7 +14,9 @@ from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field.georeference import Place, from_crs, to_crs
+from ...cbt_terrain.field.store import changed_ns
 from ...cbt_terrain.importing.placing import reproject_point
+from .. import jobs
 from ..bridge.evaluated import anchor_of
 from ..bridge.scene_origin import (
     CRS_X,
@@ -32,7 +34,7 @@ from ..bridge.scene_origin import (
 )
 from ..bridge.scene_paths import absolute_path
 from ..scatter.request import CORNER
-from ..session import session
+from ..session import live, session
 from ..terrain import move_world
 from .imported import LONGEST_CRS, Imported, imported_of, tag_object
 
@@ -140,8 +142,11 @@ def _move_of_raster(obj) -> np.ndarray | None:
     return None if is_same.all() or is_far.any() or not np.isfinite(by).all() else by
 
 
-def follow_raster(obj) -> None:
-    """Move a terrain whose store has another raster than its place, so that the ground stays in the world."""
+def follow_raster(obj) -> bool:
+    """Move a terrain whose store has another raster than its place; return whether it moved.
+
+    The ground stays in the world.
+    """
     by = _move_of_raster(obj)
     if by is not None:
         anchor = anchor_of(obj)
@@ -149,6 +154,24 @@ def follow_raster(obj) -> None:
         keep_ground(obj, np.subtract(anchor_of(obj), anchor) - by, is_placed=False)
         obj.adaptive_terrain.frozen = ""  # triangles of the earlier raster
         tag_object(obj)
+    return by is not None
+
+
+def follow_replaced_store(obj) -> bool:
+    """Move a terrain if another program has replaced its store since the last call; return whether it moved.
+
+    It stays if it did not fit the store before, and during an import of this program, which places it at its end.
+    """
+    record, store = session.record_of(obj), absolute_path(obj.adaptive_terrain.store)
+    now, before = (store, changed_ns(store)), record.placed_for
+    if now == before or jobs.find(jobs.IMPORT, obj) is not None:
+        return False
+    has_moved = before is not None and before[0] == store and follow_raster(obj)
+    record.placed_for = now if _move_of_raster(obj) is None else None
+    return has_moved
+
+
+live.follow_replaced_store = follow_replaced_store
 
 
 def follow_store(obj) -> None:
@@ -164,6 +187,7 @@ def on_load_post(_path, _unused=None) -> None:
     """Place terrains whose stores were imported after the file was saved."""
     for obj in session.all_terrains():
         follow_raster(obj)
+        follow_replaced_store(obj)  # notes which store this is
 
 
 @persistent

@@ -61,6 +61,14 @@ def mark_dirty() -> None:
     _dirty = True
 
 
+def follow_replaced_store(_obj) -> bool:
+    """Keep the ground of a terrain in the world if another program has replaced its store; return whether it moved.
+
+    The room of imports replaces this function, which does nothing.
+    """
+    return False
+
+
 def tick() -> float:
     """Run one turn of the timer, and return the seconds until the next."""
     try:
@@ -175,6 +183,8 @@ def _next_job() -> LiveUpdate | None:
         # Without a store the panel keeps the error of a failed import.
         if depsgraph is None or not wanted or not obj.adaptive_terrain.store or obj.mode != "OBJECT":
             continue
+        if follow_replaced_store(obj):
+            depsgraph.update()
         try:
             request = gather(obj, depsgraph, VIEWPORT)
         except Exception as error:

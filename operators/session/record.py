@@ -79,6 +79,7 @@ class Record:
         time_correction: from updates of the live viewport.
         scatters: by the session_uid of their objects.
         generation: changes with everything that makes a running update stale.
+        placed_for: path and time of change, ns, of the store whose raster the object was placed for; None if unknown.
     """
 
     terrain: "Terrain | None" = None
@@ -98,4 +99,5 @@ class Record:
     time_correction: TimeCorrection = dataclasses.field(default_factory=TimeCorrection)
     scatters: dict[int, ScatterRecord] = dataclasses.field(default_factory=dict)
     generation: int = 0
+    placed_for: tuple[str, int] | None = None
     status: Status = dataclasses.field(default_factory=Status)

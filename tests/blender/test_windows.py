@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from program_window import WHOLE
+from rasterio.transform import Affine
 from rasters import hills, write_raster
 from window_report import run_in_window
 
@@ -90,6 +91,18 @@ def test_a_dropped_file_and_a_click_make_a_scene(program, tmp_path):
     assert report["sun"] == pytest.approx(np.sin([0.3, 0.5, 0.3, 1.0]), abs=1e-5)
     assert report["looks"] == [*["CAMERA"] * 5, "PERSP"], "it leaves the camera at Undo of the first click"
     assert report["undone"] == report["before"], "one step for Undo a click"
+
+
+def test_a_store_replaced_by_a_second_program_is_shown(program, tmp_path):
+    """It is twice as wide; the ground stays at its coordinates."""
+    both = hills(80, 30)
+    for name, heights in (("west", both[:, :40]), ("both", both)):
+        corner = Affine(10, 0, 6e5, 0, -10, 5.2e6)
+        write_raster(tmp_path / f"{name}.tif", heights, crs="EPSG:32632", transform=corner)
+    report = run_in_window(program, "replaced_store.py", tmp_path)
+    assert report["second"] == 0 and report["before"][:2] == pytest.approx([600005.0, 600395.0], abs=0.1)
+    assert report["after"][:2] == pytest.approx([600005.0, 600795.0], abs=0.1) and report["moved"] == 200.0
+    assert report["after"][2:] == pytest.approx([both.min(), both.max()], abs=5.0)
 
 
 def test_a_restored_terrain_is_imported_again(program, tmp_path):

@@ -22,6 +22,7 @@ MAX_TABLE = 1 << 28  # finer tiles of the whole grid, which a table numbers: 2^2
 # Of a mosaic with wide gaps. Where no file is, a sample takes only 0.1 us, so a plan must save more samples.
 SAVING_OF_GAPS = 8
 BITS_OF_GAPS = 4  # log2 of the finest samples along a coarse cell, at least
+FEWEST_WITH_HOLES = 1 << 33  # samples of a grid whose gaps are cut out at cells of the coarse grid
 MANY_OF_GAPS = 1 << 26  # samples; a coarse grid has fewer, since most are in gaps: they would fill 350 MB
 
 
@@ -32,12 +33,14 @@ class FinerPlan:
     Attributes:
         grid: of every 2^bits-th column and row of the finest grid.
         bits: log2 of the finest samples along a cell of that grid.
+        is_of_gaps: whether all files count as finest ones.
         boxes: int64 [files, 4], first column and row and last ones of each finer file in the finest grid.
         tiles: number of finer tiles, with those around the files.
     """
 
     grid: TargetGrid
     bits: int
+    is_of_gaps: bool
     boxes: np.ndarray
     tiles: int
 
@@ -48,7 +51,7 @@ class FinerPlan:
 
 
 def plan_finer(
-    grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray, fills_gaps: bool
+    grid: TargetGrid, levels: np.ndarray, steps: np.ndarray, boxes: np.ndarray, holes: bool
 ) -> FinerPlan | None:
     """Return how to divide a mosaic into a coarse raster and tiles of finer files; None if that saves little space.
 
@@ -60,7 +63,8 @@ def plan_finer(
         levels: of each file: 0 for the coarsest, more for finer ones on top of them.
         steps: samples of the grid between two of each file.
         boxes: [files, 4], lowest column and row of the grid and highest ones of each file.
-        fills_gaps: whether samples in gaps are filled. Holes need the finest step, since they consist of whole cells.
+        holes: whether gaps are cut out. Holes consist of whole cells, so a smaller mosaic with wide gaps has the finest
+            step everywhere.
     """
     if not FEWEST <= grid.width * grid.height <= MAX_TABLE * SIDE * SIDE:
         return None
@@ -68,14 +72,15 @@ def plan_finer(
     if is_finer.any():
         # The coarse step is the largest power of two of finer steps that does not exceed that of a coarse file.
         bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
-    elif fills_gaps:
+    elif not holes or grid.width * grid.height >= FEWEST_WITH_HOLES:
         is_finer, saving, bits = np.ones_like(is_finer), SAVING_OF_GAPS, BITS_OF_GAPS
         while bits < MAX_BITS and grid.width * grid.height >> 2 * bits >= MANY_OF_GAPS:
             bits += 1
     else:
         return None
     # The coarse grid has every 2^bits-th sample. Finer tiles are stored besides, and together must be few enough.
-    spare = (1 << bits) - 1 if is_finer.all() else 0  # no finest sample may be beyond the last coarse one
+    is_of_gaps = bool(is_finer.all())
+    spare = (1 << bits) - 1 if is_of_gaps else 0  # no finest sample may be beyond the last coarse one
     width, height = ((count - 1 + spare >> bits) + 1 for count in (grid.width, grid.height))
     low = np.floor(boxes[is_finer, :2]).astype(np.int64) - (grid.column, grid.row)
     high = np.ceil(boxes[is_finer, 2:]).astype(np.int64) - (grid.column, grid.row)
@@ -89,9 +94,8 @@ def plan_finer(
     column, row = grid.column >> bits, grid.row >> bits
     x0, y0 = grid.positions(np.array(grid.column - (column << bits)), np.array(grid.row - (row << bits)))
     coarse = grid._replace(x0=float(x0), y0=float(y0), column=column, row=row, width=width, height=height)
-    return FinerPlan(
-        coarse._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits), bits, file_boxes, tiles
-    )
+    coarse = coarse._replace(step_x=grid.step_x * 2**bits, step_y=grid.step_y * 2**bits)
+    return FinerPlan(coarse, bits, is_of_gaps, file_boxes, tiles)
 
 
 def _count_tiles(grid: TargetGrid, file_boxes: np.ndarray) -> int:

@@ -20,6 +20,7 @@ from ..importing.thinning import FROM_OVERVIEWS, WORTHWHILE
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
 from ..rasters.raster import FinerSource, ImportSettings, Raster
+from ..view.linear import add_up
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .finer_plan import plan_finer
@@ -57,7 +58,7 @@ def open_composite(
     # A step of the settings holds everywhere, so there are no finer tiles then.
     plan = None
     if settings.step is None:
-        plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes, fills_gaps=not settings.holes)
+        plan = plan_finer(grid, whole.step_levels, whole.steps, whole.boxes, settings.holes)
     # `quick` is the number of samples of a quick import, 0 for a complete one. Up to WORTHWHILE times as many samples
     # are soon imported completely; plan.work is the number of samples whose import takes as long as the plan's.
     is_quick_enough = plan is not None and (not settings.quick or plan.work <= WORTHWHILE * settings.quick)
@@ -132,6 +133,8 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         return values
 
     window = partial(read_window, composite)
+    if composite.finer is not None and composite.finer[0].is_of_gaps and settings.holes:
+        window = partial(_read_widened, window, (grid.height, grid.width))
 
     def finish(folder: Path) -> None:
         """Check that no file has changed, and keep the catalogue in the store."""
@@ -157,6 +160,26 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
             plan.bits, plan.boxes, finer_window, inputs=all_files.inputs_by_seams, keep_seams=all_files.keep_seams
         )
     return raster
+
+
+def _read_widened(
+    read: Callable[..., np.ndarray], size: tuple[int, int], first: int, count: int, column: int, columns: int
+) -> np.ndarray:
+    """Read a window of a coarse grid, in which samples next to known ones have the mean of these; others stay NaN.
+
+    So a coarse cell with a finer sample of a file is not cut out. read(first, count, column, columns): reads a window.
+    size: rows and columns of the grid. first, count, column, columns: first row, rows, first column and columns.
+    """
+    ends = (first, count, size[0]), (column, columns, size[1])
+    # One sample more on each side, where the grid has one: lines before the window, and after it.
+    (above, below), (left, right) = ((min(start, 1), min(end - start - lines, 1)) for start, lines, end in ends)
+    values = read(first - above, count + above + below, column - left, columns + left + right)
+    values = np.pad(values, ((1 - above, 1 - below), (1 - left, 1 - right)), constant_values=np.nan)
+    around = [values[y : y + count, x : x + columns] for y in range(3) for x in range(3)]  # with the sample itself
+    number = add_up(np.isfinite(part) for part in around)
+    total = add_up(np.where(np.isfinite(part), part, 0.0) for part in around)
+    known = np.isfinite(values[1:-1, 1:-1])
+    return np.where(known, values[1:-1, 1:-1], total / np.where(number > 0, number, np.nan))
 
 
 def blend_metres(composite: Composite) -> float:

@@ -7,7 +7,7 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.refining import with_loaded
-from adaptive_terrain.cbt_terrain.mosaic import finer_plan
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan, mosaic_source
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
@@ -107,21 +107,68 @@ def test_a_file_in_the_gap_gives_a_complete_imports_bytes(islands, small, tmp_pa
     assert open_store(tmp_path / "store").key != open_store(folder / "store").key
 
 
+def test_a_large_gap_is_cut_out_around_the_files(islands, small, tmp_path, monkeypatch):
+    """Land ends at most one coarse cell outside of the files, and all their heights are there."""
+    sheets, folder, _ = islands
+    monkeypatch.setattr(finer_plan, "FEWEST_WITH_HOLES", 1 << 20)
+    run_mosaic_import(ImportSettings(str(folder / "files"), holes=True), tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    cell = field.lattice.step_x
+    assert cell == 16 * STEP and field.raster.finer is not None
+    update = Terrain(field).update(Criterion(error_px=0.0, error_m=0.25))
+    a, _, c, _, e, f = field.raster.place
+    east, north = (update.surface.positions[:, :2].astype(np.float64) * (a, e) + (c, f)).T
+    used = np.unique(update.surface.triangles)
+    is_near = np.zeros(len(used), bool)
+    for sheet_ in sheets.values():
+        width, height = WIDE * STEP, HIGH * STEP
+        x, y = east[used] - sheet_.west, sheet_.north - north[used]
+        is_near |= (x > -cell) & (x < width + cell) & (y > -cell) & (y < height + cell)
+        places, *at = points_in(field, sheet_, seed=5)
+        found = ground_at(field, places)
+        assert found.inside.all() and np.abs(found.heights - sheet_.at(UTM32, *at)).max() <= field.source_max + 1e-3
+        off = mesh_heights(update.surface, places) - sheet_.at(UTM32, *at)  # fails where no triangle is
+        assert np.abs(off).max() <= update.bound_m + field.source_max
+    assert is_near.all() and len(used) > 1000
+
+
+def test_widened_samples_do_not_depend_on_their_window():
+    """They are means of the known samples around, also where a window begins."""
+    rng = np.random.default_rng(6)
+    whole = np.where(rng.random((40, 50)) < 0.8, np.nan, rng.random((40, 50)))
+
+    def read(first, count, column, columns):
+        return whole[first : first + count, column : column + columns].copy()
+
+    expected = whole.copy()
+    for row, column in np.argwhere(np.isnan(whole)):
+        near = whole[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
+        if np.isfinite(near).any():
+            expected[row, column] = np.nanmean(near)
+    found = mosaic_source._read_widened(read, whole.shape, 0, 40, 0, 50)
+    assert np.allclose(found, expected, rtol=1e-14, atol=0, equal_nan=True) and np.isnan(found).any()
+    for window in ((0, 7, 3, 20), (31, 9, 0, 5), (12, 1, 49, 1)):
+        first, count, column, columns = window
+        part = mosaic_source._read_widened(read, whole.shape, *window)
+        assert np.array_equal(part, found[first : first + count, column : column + columns], equal_nan=True)
+
+
 @pytest.mark.parametrize(("side", "bits"), [(1 << 15, 4), (1 << 16, 4), (1 << 18, 6)])
 def test_only_a_large_mosaic_of_gaps_has_finer_tiles(side, bits, monkeypatch):
-    """Holes need one step everywhere; so do files that cover a fifth of the rectangle."""
+    """Holes need one step up to 2^33 samples; so do files that cover a fifth of the rectangle."""
     monkeypatch.setattr(finer_plan, "FEWEST", 1 << 29)
     grid = TargetGrid(UTM32, 0.0, 0.0, 1.0, 1.0, 0, 0, side, side)
     boxes = np.array([[0, 0, 1500, 1500], [side - 1500, side - 1500, side - 1, side - 1]], float)
     levels, steps = np.zeros(2, np.int64), np.ones(2)
-    plan = finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=True)
+    plan = finer_plan.plan_finer(grid, levels, steps, boxes, holes=False)
     assert plan.bits == bits and plan.grid.step_x == 2**bits
     assert (plan.grid.width - 1) << bits >= side - 1  # all samples are inside
-    assert finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=False) is None
+    with_holes = finer_plan.plan_finer(grid, levels, steps, boxes, holes=True)
+    assert (with_holes is None) == (side < 1 << 17)
     boxes[0, 2:] = 0.45 * side
-    assert finer_plan.plan_finer(grid, levels, steps, boxes, fills_gaps=True) is None
+    assert finer_plan.plan_finer(grid, levels, steps, boxes, holes=False) is None
     too_large = grid._replace(width=1 << 24, height=1 << 24)
-    assert finer_plan.plan_finer(too_large, levels, steps, boxes, fills_gaps=True) is None
+    assert finer_plan.plan_finer(too_large, levels, steps, boxes, holes=False) is None
 
 
 @pytest.mark.thorough

@@ -155,12 +155,14 @@ def _shown(
     """
     wet = depth >= min_depth
     if discharge is not None:
-        # Along a contour of an even slope the two neighbours have the same level; standing water has it around.
-        levels = np.where(wet, surface, np.inf)
-        level_neighbours = np.zeros(wet.shape, np.int8)
-        for other in _neighbours(levels, np.inf):
-            level_neighbours += abs(other - surface) < SAME
-        wet = (wet & (level_neighbours > 2)) | ((discharge >= STREAM) & (depth > 0.0))
+        # Standing water is level with its neighbours, and in canals none is lower. A film on an even slope is level
+        # with the two along the contour, and there are lower ones, such as beyond the border.
+        num_level, has_lower = np.zeros(wet.shape, np.int8), np.zeros(wet.shape, bool)
+        for other in _neighbours(np.where(wet, surface, np.inf), -np.inf):
+            num_level += abs(other - surface) < SAME
+            has_lower |= other < surface - SAME
+        is_standing = wet & ((num_level > 2) | ((num_level > 0) & ~has_lower))
+        wet = is_standing | ((discharge >= STREAM) & (depth > 0.0))
     if missing is not None:
         wet &= ~missing
     return _without_small_pieces(wet)

@@ -151,10 +151,10 @@ class JobOperator:
         return {"CANCELLED"}
 
 
-class FileJobOperator(JobOperator, ExportHelper):
-    """Base of operators that ask for a file and write it in a job.
+class DialogJobOperator(JobOperator):
+    """Base of operators that show a dialog, and then run a job with the chosen options.
 
-    A subclass also has `propose(context)`, which proposes a file to the dialog and may raise TerrainError.
+    A subclass also has `ask(context, event)`, which shows the dialog and may raise TerrainError.
     """
 
     shows_error_on_panel = False
@@ -163,14 +163,13 @@ class FileJobOperator(JobOperator, ExportHelper):
     is_chosen: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context, event):
-        """Ask for a file, or start the job once the file is chosen."""
+        """Show the dialog, or start the job once the options are chosen."""
         if self.is_chosen:
             return JobOperator.invoke(self, context, event)
         try:
-            self.propose(context)
+            return self.ask(context, event)
         except TerrainError as error:
-            return self.fail(context.object, str(error))
-        return ExportHelper.invoke(self, context, event)
+            return self.fail(self.subject(context), str(error))
 
     @cancelled_by_errors
     def execute(self, context):
@@ -178,3 +177,15 @@ class FileJobOperator(JobOperator, ExportHelper):
         if not self.options.is_invoke:
             return JobOperator.execute(self, context)
         return invoke_with_file(self, context)
+
+
+class FileJobOperator(DialogJobOperator, ExportHelper):
+    """Base of operators that ask for a file and write it in a job.
+
+    A subclass also has `propose(context)`, which proposes a file to the dialog and may raise TerrainError.
+    """
+
+    def ask(self, context, event):
+        """Show the file dialog with the proposed file."""
+        self.propose(context)
+        return ExportHelper.invoke(self, context, event)

@@ -61,7 +61,8 @@ WATER = JobKind("WATER", "Adding water", "the water stays as it was")
 BAKE_LAND = JobKind("BAKE_LAND", "Baking to a store", "its list and its heights stay as they were")
 EXPORT = JobKind("EXPORT", "Exporting", "files that are complete stay, without the JSON file that lists them")
 MAP = JobKind("MAP", "Rendering a map", "pictures that are complete stay, without GeoTIFF files", alone=True)
-KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, BAKE_LAND, EXPORT, MAP)}
+SUBMIT = JobKind("SUBMIT", "Writing a farm job", "an earlier job in the folder stays as it was", alone=True)
+KINDS = {kind.name: kind for kind in (IMPORT, SHAPE, PACK, BAKE, MEASURE, WATER, BAKE_LAND, EXPORT, MAP, SUBMIT)}
 
 
 class JobStopped(Exception):

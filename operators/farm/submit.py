@@ -4,7 +4,7 @@
 import os
 import tomllib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import bpy
@@ -12,6 +12,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.height_operators.land_folder import folder_beside
 from ...cbt_terrain.importing.source_list import INDEX_SUFFIXES, files_of, names_several
+from ...cbt_terrain.rasters.raster import ImportSettings
 from ...cbt_terrain.rasters.sidecars import sidecars
 from ...cbt_terrain.run.owned_files import check_folder, real_path
 from ...cbt_terrain.run.partial_files import written_beside
@@ -48,10 +49,12 @@ def submit(
     min_memory_gib: float = 0.0,
     allow_outside: bool = False,
     shared_disk: bool = True,
+    count_tiles: Callable[[bpy.types.Object], int] = shared_tiles,
 ) -> tuple[list[str], list[str]]:
     """Write the job of the open, saved file into the folder `out`.
 
-    Return lines about it for the user, and notes about things left to do.
+    Return lines about it for the user, and notes about things left to do. Raises TerrainError if the scene lacks a
+    file, or one may not be copied.
 
     Args:
         objects: the scene's terrains.
@@ -62,9 +65,7 @@ def submit(
         min_memory_gib: required memory of a worker, 0 for any.
         allow_outside: allow any file from outside the scene's folder.
         shared_disk: let workers share the import of a large missing store; they need its files on one disk.
-
-    Raises:
-        TerrainError: the scene lacks a file, or one may not be copied.
+        count_tiles: returns the number of tiles of such an import, 0 if one worker does it.
     """
     from ... import __version__
 
@@ -74,7 +75,7 @@ def submit(
     height_maps, folders, outputs, notes = [], [], [], []
     tiles = []  # of each terrain: number of tiles whose import workers share, 0 if they share none
     for obj in objects:
-        tiles.append(_add_terrain(obj, height_maps, folders, outputs, shared_disk))
+        tiles.append(_add_terrain(obj, height_maps, folders, outputs, count_tiles if shared_disk else None))
         notes += [*_import_notes(obj, tiles[-1]), *_place_notes(obj, blend.parent)]
     if outside := check_outside(blend.parent, [*files, *height_maps], height_maps, folders, allow_outside):
         noun = "file or folder" if len(outside) == 1 else "files and folders"
@@ -149,25 +150,37 @@ def _place_notes(obj, home: Path) -> list[str]:
     ]
 
 
-def _add_terrain(obj, height_maps: list[Path], folders: list[Path], outputs: list[Path], shared_disk: bool) -> int:
+def missing_imports(objects: Sequence) -> dict[int, ImportSettings]:
+    """Return the settings of the imports that a job of terrains has to make from the first sample, by session_uid.
+
+    Raises TerrainError.
+    """
+    stores = {obj: store_folder_of(obj) for obj in objects}
+    missing = [obj for obj, store in stores.items() if is_missing(store) and not can_load_tiles(store)]
+    return {obj.session_uid: settings_of(obj) for obj in missing}
+
+
+def _add_terrain(
+    obj, height_maps: list[Path], folders: list[Path], outputs: list[Path], count_tiles: Callable | None
+) -> int:
     """Add the files and folders of one terrain to the lists of a job; return the number of tiles that workers import.
 
     Workers divide the tiles of a large or incomplete store among them; 0 if one task imports the store, or none has to.
 
     height_maps: files to import. folders: existing stores, land and maps. outputs: folders that earlier steps of
-    the job write. shared_disk: whether workers share imports; the store and the height maps of a shared one are in no
-    list. Raises TerrainError.
+    the job write. count_tiles: as in `submit`; None without a shared disk. The store and the height maps of a shared
+    import are in no list. Raises TerrainError.
     """
     store, tiles = store_folder_of(obj), 0
     if can_load_tiles(store):  # workers share its disk
-        if not shared_disk:
+        if count_tiles is None:
             what = f"The store of {obj.name!r} is incomplete, and without a shared disk a farm cannot complete it"
             raise TerrainError(what, fix="import all of it before you submit")
         folders.append(store)
         tiles = num_tiles(store)
     elif is_missing(store):
         sources = _height_maps(obj, store) if built_in_land(obj.adaptive_terrain) is None else []
-        tiles = shared_tiles(obj) if shared_disk else 0
+        tiles = 0 if count_tiles is None else count_tiles(obj)
         if not tiles:
             outputs.append(store)
             height_maps += sources

@@ -5,20 +5,24 @@ from pathlib import Path
 
 import bpy
 
-from ...cbt_terrain.errors import TerrainError
+from ...cbt_terrain.errors import TerrainError, unwritable
+from ...cbt_terrain.run import stopping
+from .. import jobs
 from ..bridge.scene_paths import absolute_path
 from ..export.formats import parse_frames
+from ..job_operator import DialogJobOperator
 from ..session import session
-from ..session.polls import cancelled_by_errors
 from ..terrain.properties import PATH_OPTIONS
 
 
-class SubmitToFarm(bpy.types.Operator):
+class SubmitToFarm(DialogJobOperator, bpy.types.Operator):
     """Write a folder for a render farm: the saved file, the stores of its terrains, and a job for Deadline Cloud (Open
     Job Description) and Flamenco"""
 
     bl_idname = "adaptive_terrain.submit"
     bl_label = "Submit to Farm"
+
+    kind = jobs.SUBMIT
 
     folder: bpy.props.StringProperty(
         name="Folder",
@@ -67,43 +71,65 @@ class SubmitToFarm(bpy.types.Operator):
             cls.poll_message_set("Save the file first")
             return False
         cls.poll_message_set("The scene has no terrain; add one")
-        return bool(session.terrains_of(context.scene))
+        if not session.terrains_of(context.scene):
+            return False
+        cls.poll_message_set("A job is being written: wait for it, or cancel it beside its progress bar")
+        return jobs.find(jobs.SUBMIT) is None
 
-    def invoke(self, context, event):
+    def subject(self, _context) -> None:
+        """Return None: a farm's job is of the scene, not of one terrain."""
+
+    def ask(self, context, _event):
         """Refuse unsaved changes, and show the options in a dialog."""
-        try:
-            _check_is_saved()
-        except TerrainError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        _check_is_saved()
         if not self.properties.is_property_set("frames"):
             scene = context.scene
             self.frames = f"{scene.frame_start}-{scene.frame_end}"
         return context.window_manager.invoke_props_dialog(self, width=400, confirm_text="Write Job")
 
-    @cancelled_by_errors
-    def execute(self, context):
-        """Write the job of the saved file into the chosen folder, and report its commands and notes."""
-        from .submit import INSTALLED, submit
+    def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:
+        """Count the tiles of missing stores on a thread, then write the job; return its lines and notes."""
+        from ..importing.shot_import import tiles_to_share
+        from .submit import INSTALLED, missing_imports, submit
 
         _check_is_saved()
         if not self.folder.strip():
             raise TerrainError("The job has no folder", expected="one, such as //farm/")
-        lines, notes = submit(
-            context.scene,
-            session.terrains_of(context.scene),
-            Path(absolute_path(self.folder)),
-            frames=self._frames(),
-            chunk=self.chunk,
-            formats=() if self.render else ("npz",),
-            extension=INSTALLED if self.bring else None,
-            allow_outside=self.allow_outside,
-            shared_disk=self.shared_disk,
-        )
+        frames, out, scene = self._frames(), Path(absolute_path(self.folder)), context.scene
+        imports = missing_imports(session.terrains_of(scene)) if self.shared_disk else {}
+
+        def count() -> dict[int, int]:
+            """Return the numbers of tiles by session_uid, from the headers of the files."""
+            with stopping.checking(job.raise_if_stopped):
+                return {uid: tiles_to_share(settings) for uid, settings in imports.items()}
+
+        counts = yield from jobs.run_on_thread(job, count)
+        job.raise_if_stopped()
+        _check_is_saved()  # the user may have gone on
+        try:
+            return submit(
+                scene,
+                session.terrains_of(scene),
+                out,
+                frames=frames,
+                chunk=self.chunk,
+                formats=() if self.render else ("npz",),
+                extension=INSTALLED if self.bring else None,
+                allow_outside=self.allow_outside,
+                shared_disk=self.shared_disk,
+                count_tiles=lambda obj: counts.get(obj.session_uid, 0),
+            )
+        except ReferenceError:  # undo has replaced the scene, or it is gone
+            raise jobs.JobStopped from None
+        except OSError as reason:
+            raise unwritable(f"The job {out}", reason) from reason
+
+    def finish(self, _context, _obj, result: tuple[list[str], list[str]]) -> None:
+        """Report the job's commands and notes."""
+        lines, notes = result
         for kind, texts in (("INFO", lines), ("WARNING", notes)):
             for text in texts:
                 self.report({kind}, text)
-        return {"FINISHED"}
 
     def _frames(self) -> tuple[int, ...] | None:
         """Return the frames of the option, None for those of the scene."""

@@ -46,7 +46,11 @@ def shared_tiles(obj) -> int:
     Several computers share it from MIN_TILES tiles on, if each can read a part of the source: an archive would be
     unpacked, and points gridded, by all of them. The headers of the files are read. Raises TerrainError.
     """
-    settings = settings_of(obj)
+    return tiles_to_share(settings_of(obj))
+
+
+def tiles_to_share(settings: ImportSettings) -> int:
+    """Return the number of tiles of an import as `shared_tiles` does, on any thread."""
     if not may_be_large(settings) or _is_read_whole(settings):
         return 0
     count = count_tiles(size_of_heights(settings))

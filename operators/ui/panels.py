@@ -178,7 +178,7 @@ class OutputPanel(TerrainSubpanel):
         else:
             row.operator("adaptive_terrain.map_camera", icon="CAMERA_DATA")
             row.operator("adaptive_terrain.render_map", icon="RENDER_STILL")
-        column.operator("adaptive_terrain.submit", icon="NETWORK_DRIVE")
+        jobs.draw_button(column, jobs.SUBMIT, terrain, "adaptive_terrain.submit", icon="NETWORK_DRIVE")
 
 
 PANELS = (

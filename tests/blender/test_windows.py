@@ -38,6 +38,7 @@ def test_jobs_are_cancelled_finish_and_end_with_the_file(program, tmp_path):
     assert found["cancelled"] == [7, []], "the scene is at its frame again, and no map is left"
     assert found["maps"] > 0 and found["store"].startswith("//")
     assert found["proposed"] == "Terrain_tileset.json" and found["tileset"] == [".glb", ".json"]
+    assert found["asking"] == ["RUNNING_MODAL"], "then Enter writes the job"
     assert found["after_opening"] == [0, []] and found["after_disabling"] == [0, []]
 
 

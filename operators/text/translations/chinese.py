@@ -60,6 +60,7 @@ LABELS = {
     "Rendering a map": "正在渲染地图",
     "Reused": "已复用",
     "Writing GeoTIFF files": "正在写入 GeoTIFF 文件",
+    "Writing a farm job": "正在写入渲染农场作业",
     "by precision": "来自精度",
     "by the source": "来自源数据",
     "by triangles": "来自三角形",

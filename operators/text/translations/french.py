@@ -60,6 +60,7 @@ LABELS = {
     "Rendering a map": "Rendu d'une carte",
     "Reused": "Réutilisé",
     "Writing GeoTIFF files": "Écriture des fichiers GeoTIFF",
+    "Writing a farm job": "Écriture d'une tâche de ferme de rendu",
     "by precision": "due à la précision",
     "by the source": "due à la source",
     "by triangles": "due aux triangles",

@@ -60,6 +60,7 @@ LABELS = {
     "Rendering a map": "Karte rendern",
     "Reused": "Wiederverwendet",
     "Writing GeoTIFF files": "GeoTIFF-Dateien schreiben",
+    "Writing a farm job": "Renderfarm-Job schreiben",
     "by precision": "durch Genauigkeit",
     "by the source": "durch die Quelle",
     "by triangles": "durch Dreiecke",

@@ -60,6 +60,7 @@ LABELS = {
     "Rendering a map": "地図をレンダリング中",
     "Reused": "再利用",
     "Writing GeoTIFF files": "GeoTIFF ファイルを書き込み中",
+    "Writing a farm job": "レンダーファームのジョブを書き込み中",
     "by precision": "精度による",
     "by the source": "ソースによる",
     "by triangles": "三角形による",

@@ -60,6 +60,7 @@ LABELS = {
     "Rendering a map": "Procesando un mapa",
     "Reused": "Reutilizado",
     "Writing GeoTIFF files": "Escribiendo archivos GeoTIFF",
+    "Writing a farm job": "Escribiendo un trabajo de granja",
     "by precision": "por la precisión",
     "by the source": "por el origen",
     "by triangles": "por los triángulos",

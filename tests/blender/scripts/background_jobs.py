@@ -21,6 +21,13 @@ def threads():
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("adaptive_terrain_measure")]
 
 
+def press(key: str):
+    """Press and release a key where the mouse is."""
+    for value in ("PRESS", "RELEASE"):
+        parts()[0].event_simulate(type=key, value=value)
+        yield 0.2
+
+
 def steps():
     yield 1.0
     bpy.ops.mesh.adaptive_terrain_add("EXEC_DEFAULT")
@@ -54,6 +61,12 @@ def steps():
     yield from until((folder / "Terrain_tileset.json").exists)  # a job so short may never be seen running
     yield from until(lambda: not jobs.running)
     result["tileset"] = sorted(path.suffix for path in folder.glob("Terrain_tileset*"))
+    bpy.ops.wm.save_mainfile()
+    result["asking"] = run(operators.submit, bring=False)
+    yield 1.0
+    yield from press("RET")
+    yield from until((folder / "farm" / "template.yaml").exists)
+    yield from until(lambda: not jobs.running)
     run(operators.measure_accuracy)
     yield from until(threads)
     bpy.ops.wm.open_mainfile(filepath=str(folder / "scene.blend"))

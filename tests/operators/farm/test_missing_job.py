@@ -14,10 +14,12 @@ from adaptive_terrain.cbt_terrain.importing.build_store import run_import
 from adaptive_terrain.cbt_terrain.importing.source_list import names_several
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.tiling import tile_records
+from adaptive_terrain.operators import jobs
 from adaptive_terrain.operators.export import preparing
-from adaptive_terrain.operators.farm import bundle
+from adaptive_terrain.operators.farm import bundle, submit_to_farm
 from adaptive_terrain.operators.importing import import_terrain, shot_import
 from farm_jobs import ended, share
+from modal_runs import hold, running, to_the_end, turn
 from rasters import hills, write_raster
 from store_exports import run
 from tiled_stores import content, write_tiles
@@ -172,6 +174,36 @@ def test_files_are_copied_only_without_a_shared_disk(missing):
     for shared, has_begin in ((True, True), (False, False)):
         assert bpy.ops.adaptive_terrain.submit(**where, shared_disk=shared) == {"FINISHED"}
         assert ("name: Begin" in (missing / "other" / bundle.TEMPLATE).read_text()) == has_begin
+
+
+@pytest.fixture
+def counting(missing, monkeypatch):
+    """Start to submit in a window; return the operator, and an event that lets it count the tiles."""
+    event = hold(monkeypatch, shot_import, "tiles_to_share")
+    options = {"folder": "//job", "frames": "1", "chunk": 4, "shared_disk": True}
+    options |= {"render": True, "bring": False, "allow_outside": False, "is_chosen": True}
+    yield running(submit_to_farm.SubmitToFarm, bpy.data.objects["Hills"], **options), event
+    event.set()
+
+
+def test_a_window_counts_tiles_beside_its_work(counting, missing):
+    operator, event = counting
+    assert operator.began == {"RUNNING_MODAL"} and jobs.find(jobs.SUBMIT) == operator.job
+    assert turn(operator) == {"PASS_THROUGH"} and not (missing / "job").exists()
+    assert not submit_to_farm.SubmitToFarm.poll(operator.context)
+    event.set()
+    assert to_the_end(operator) == {"FINISHED"}
+    assert "name: Begin" in (missing / "job" / bundle.TEMPLATE).read_text()
+    notes = [call.args[1] for call in operator.report.call_args_list if call.args[0] == {"WARNING"}]
+    assert any("130 tiles that workers share" in note for note in notes)
+
+
+def test_a_cancelled_submission_writes_no_job(counting, missing):
+    operator, event = counting
+    operator.job.stop()
+    event.set()
+    assert to_the_end(operator) == {"CANCELLED"} and not (missing / "job").exists()
+    assert operator.report.call_args.args[1] == "Writing a farm job was cancelled; " + jobs.SUBMIT.stays
 
 
 def test_tiles_in_view_need_a_shared_disk(shot, capsys):

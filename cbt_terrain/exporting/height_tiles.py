@@ -33,7 +33,7 @@ from ..importing.placing import Placing, placing_or_middle
 from ..query.grid import heights_on_grid
 from ..run import launch, stopping
 from ..run.owned_files import remove_file
-from ..run.partial_files import written_beside
+from ..run.partial_files import sole_writer, written_beside
 from .tile_grid import PATTERN, TileAxis, axes_of
 from .tile_layers import HOLES, NO_FILE_NAME, TileLayer, mask_layers
 
@@ -167,19 +167,20 @@ def export_height_tiles(
     field.raster.check_samples()  # all are finite
     samples = _Samples(field, axes, layers, settings.is_flipped)
     placing = placing_or_middle(field)
-    tile_rows = range(axes[1].tiles)
-    # Integers need the smallest and largest value of a layer, which only a first pass over all samples finds.
-    if any(layer.form.is_integer and not layer.has_range for layer in layers):
-        _measure(samples, layers, lambda done: on_progress(0.4 * done))
+    json_file = out / f"{settings.name}.json"
     try:
-        remove_file(out / f"{settings.name}.json")  # of an earlier export, whose tiles are about to be replaced
-        for row in tile_rows:
-            for tiles in samples.groups():  # columns of tiles that are open side by side
-                _write_tiles(samples, out, names, tiles, row, placing)
-            on_progress(0.4 + 0.6 * (row + 1) / len(tile_rows))
-        index = _tiles_json(samples, names, placing, settings)
-        with written_beside(out / f"{settings.name}.json") as partial:
-            partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+        with sole_writer(json_file):
+            # Integers need the smallest and largest value of a layer, which only a first pass over all samples finds.
+            if any(layer.form.is_integer and not layer.has_range for layer in layers):
+                _measure(samples, layers, lambda done: on_progress(0.4 * done))
+            remove_file(json_file)  # of an earlier export, whose tiles are about to be replaced
+            for row in range(axes[1].tiles):
+                for tiles in samples.groups():  # columns of tiles that are open side by side
+                    _write_tiles(samples, out, names, tiles, row, placing)
+                on_progress(0.4 + 0.6 * (row + 1) / axes[1].tiles)
+            index = _tiles_json(samples, names, placing, settings)
+            with written_beside(json_file) as partial:
+                partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
     except OSError as reason:
         raise unwritable(f"The tiles in {out}", reason) from reason
     return index

@@ -24,7 +24,7 @@ from ..field.store_folder import check_is_no_store_json
 from ..importing.placing import Placing, placing_or_middle
 from ..run import stopping
 from ..run.owned_files import remove_file
-from ..run.partial_files import remove_abandoned, written_beside
+from ..run.partial_files import remove_abandoned, sole_writer, written_beside
 from ..view.criterion import Criterion
 from ..view.linear import length
 from .glb import glb_of
@@ -89,26 +89,34 @@ def export_tileset(
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
     check_is_no_store_json(path)
     remove_abandoned(path.parent)
-    levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
-    placing = placing_or_middle(field)
     try:
-        frame = _place_levels(levels, placing, path.parent)  # position on the globe; None without a coordinate system
-        # From the finest level up: 3D Tiles require that a tile's error is no smaller than its children's.
-        for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
-            level.bound = max(level.bound, finer.bound)
-        tiles: dict[tuple[int, int, int], tuple] = {}  # (level, x, y): box and number of triangles of a written tile
-        remove_file(path)  # of an earlier export, whose tiles are about to be replaced
-        total = sum(len(level.mesh.triangles) for level in levels)
-        for number, level in enumerate(levels):
-            for _ in _write_level(path, number, level, levels[0].bound, tiles):
-                on_progress(0.5 + 0.5 * sum(int(count) for _, count in tiles.values()) / total)
-        root = _tile_json(path.stem, levels, tiles, number=0, x=0, y=0)
-        if root is None:
-            raise TerrainError("Nothing is left of the terrain", fix="check its holes")
-        with written_beside(path) as partial:
-            partial.write_text(json.dumps(_tileset_json(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
+        with sole_writer(path):
+            return _write_tileset(field, path, error_m, triangles, on_progress)
     except OSError as reason:
         raise unwritable(f"The tileset {path}", reason) from reason
+
+
+def _write_tileset(
+    field: HeightField, path: Path, error_m: float, triangles: int, on_progress: Callable[[float], None]
+) -> TilesetReport:
+    """Write the files of a tileset. Its arguments are those of `export_tileset`. Raises TerrainError and OSError."""
+    levels = _levels(field, error_m, triangles, lambda done: on_progress(0.5 * done))
+    placing = placing_or_middle(field)
+    frame = _place_levels(levels, placing, path.parent)  # position on the globe; None without a coordinate system
+    # From the finest level up: 3D Tiles require that a tile's error is no smaller than its children's.
+    for finer, level in zip(levels[:0:-1], levels[-2::-1], strict=True):
+        level.bound = max(level.bound, finer.bound)
+    tiles: dict[tuple[int, int, int], tuple] = {}  # (level, x, y): box and number of triangles of a written tile
+    remove_file(path)  # of an earlier export, whose tiles are about to be replaced
+    total = sum(len(level.mesh.triangles) for level in levels)
+    for number, level in enumerate(levels):
+        for _ in _write_level(path, number, level, levels[0].bound, tiles):
+            on_progress(0.5 + 0.5 * sum(int(count) for _, count in tiles.values()) / total)
+    root = _tile_json(path.stem, levels, tiles, number=0, x=0, y=0)
+    if root is None:
+        raise TerrainError("Nothing is left of the terrain", fix="check its holes")
+    with written_beside(path) as partial:
+        partial.write_text(json.dumps(_tileset_json(root, levels[0], frame), indent=1) + "\n", encoding="utf-8")
     num_triangles = sum(int(count) for _, count in tiles.values())
     return TilesetReport(len(tiles), num_triangles, tuple(level.bound for level in levels), frame is not None)
 

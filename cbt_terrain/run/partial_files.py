@@ -9,6 +9,7 @@ mark, and a free lock counts only on that machine; other folders are removed whe
     .partial-MARK.../lock    held by the writer
     .partial-MARK.../NAME    will be renamed to ../NAME
     .partial-MARK...-NAME    the same for a file with relative paths to other files
+    .partial-DIGEST/lock     held by the writer of a file and of others that it describes
 """
 
 import errno
@@ -30,6 +31,7 @@ if sys.platform == "win32":
 else:
     import fcntl
 
+from ..errors import TerrainError, shown
 from . import owned_files
 from .owned_files import NotOursError, open_folder
 
@@ -101,6 +103,32 @@ def private_folder(parent: Path) -> Iterator[Path]:
         os.close(lock)
         with suppress(OSError, NotOursError):
             owned_files.remove_tree(folder, may_be_link=True)
+
+
+@contextmanager
+def sole_writer(path: Path) -> Iterator[None]:
+    """Hold a lock for the time of the block, which writes `path` and other files that it describes.
+
+    The lock is in a folder beside `path`, named by a digest of its name. Raises TerrainError if another writer holds
+    it, and OSError.
+    """
+    digest = hashlib.blake2b(path.name.casefold().encode(errors="surrogatepass"), digest_size=16).hexdigest()
+    folder = path.parent / f"{PREFIX}{digest}"
+    try:
+        lock = make_folder(folder, 0o700, may_exist=True)
+    except FileExistsError as reason:
+        what = f"{shown(path)} and the files with it are being written by another export"
+        raise TerrainError(what, fix="wait for its end, or choose another name or folder") from reason
+    try:
+        yield
+    finally:
+        # The lock is removed before its release, because another writer may be about to take it.
+        if sys.platform == "win32":  # Windows removes no open file
+            os.close(lock)
+        with suppress(OSError, NotOursError):
+            owned_files.remove_tree(folder, may_be_link=True)
+        if sys.platform != "win32":
+            os.close(lock)
 
 
 def is_partial_name(name: str) -> bool:

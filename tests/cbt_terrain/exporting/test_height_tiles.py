@@ -332,3 +332,21 @@ def test_tiles_do_not_replace_the_description_of_a_store(tmp_path):
     with pytest.raises(TerrainError, match="belongs to a terrain store"):
         export_height_tiles(field, field.path, HeightTiles("r16", name="store"))
     assert (field.path / "store.json").read_bytes() == before
+
+
+def test_a_second_export_of_one_name_is_refused(land, tmp_path):
+    """The JSON file would describe the tiles of one export, and some tiles would be the other's."""
+    field, refused = land(holes=False)[1], []
+    settings = HeightTiles(size=33)
+
+    def while_writing(_done):
+        with pytest.raises(TerrainError, match="terrain.json and the files with it are being written") as caught:
+            export_height_tiles(field, tmp_path, HeightTiles(size=65))
+        refused.append(caught.value.fix)
+
+    export_height_tiles(field, tmp_path, settings, on_progress=while_writing)
+    assert len(refused) > 2 and {*refused} == {"wait for its end, or choose another name or folder"}
+    written = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    (tmp_path / "alone").mkdir()
+    export_height_tiles(field, tmp_path / "alone", settings)
+    assert written == {path.name: path.read_bytes() for path in (tmp_path / "alone").iterdir()}

@@ -248,6 +248,18 @@ def test_a_tileset_does_not_replace_the_description_of_a_store(tmp_path):
     assert sorted(field.path.rglob("*")) == before
 
 
+def test_a_second_export_of_one_tileset_is_refused(tmp_path):
+    field, refused = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20), **UTM))[0], []
+
+    def while_writing(_done):
+        with pytest.raises(TerrainError, match="land.json and the files with it are being written by another export"):
+            export_tileset(field, tmp_path / "land.json", 1.0)
+        refused.append(_done)
+
+    export_tileset(field, tmp_path / "land.json", 1.0, on_progress=while_writing)
+    assert refused and export_tileset(field, tmp_path / "land.json", 1.0).num_tiles > 0
+
+
 def test_a_full_disk_is_reported_with_the_tileset(tmp_path, monkeypatch):
     field, _ = imported(tmp_path, write_raster(tmp_path / "in.tif", smooth(20, 20), **UTM))
 

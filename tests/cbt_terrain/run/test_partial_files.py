@@ -9,8 +9,9 @@ import sys
 import threading
 
 import pytest
-from adaptive_terrain.cbt_terrain.run import partial_files
-from adaptive_terrain.cbt_terrain.run.partial_files import remove_abandoned, written_beside
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.run import owned_files, partial_files
+from adaptive_terrain.cbt_terrain.run.partial_files import remove_abandoned, sole_writer, written_beside
 
 WRITE = """
 import sys
@@ -164,3 +165,48 @@ def test_writers_and_removers_side_by_side(tmp_path):
         for thread in threads:
             thread.join()
     assert len(list(tmp_path.iterdir())) == 1
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from adaptive_terrain.cbt_terrain.run.partial_files import sole_writer
+with sole_writer(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_files_of_one_name_have_one_writer_until_it_ends(tmp_path):
+    path = tmp_path / "a.json"
+    command = [sys.executable, "-c", HOLD, str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "held\n"
+        remove_abandoned(tmp_path)  # by another export into the folder
+        for name in ("a.json", "A.JSON"):
+            with pytest.raises(TerrainError, match="being written by another export: wait for its end"):
+                with sole_writer(tmp_path / name):
+                    pass
+        with sole_writer(tmp_path / "b.json"):
+            pass
+        process.kill()
+    assert len(list(tmp_path.iterdir())) == 1, "a killed writer leaves its folder"
+    with sole_writer(path):
+        pass
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_lock_is_removed_before_its_release(tmp_path, monkeypatch):
+    """Otherwise a writer that has just taken it would have none, and a third one would take a new one."""
+    remove, removed = owned_files.remove_tree, []
+
+    def remove_held(folder, **options):
+        assert partial_files.is_in_use(folder)
+        remove(folder, **options)
+        removed.append(folder)
+
+    monkeypatch.setattr(owned_files, "remove_tree", remove_held)
+    with sole_writer(tmp_path / "a.json"):
+        pass
+    assert len(removed) == 1 and list(tmp_path.iterdir()) == []

@@ -4,7 +4,6 @@
 So neighbouring tiles have no gap between them, with or without a shared row of samples.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -79,74 +78,87 @@ def _indices(origin: tuple, steps: tuple, x: np.ndarray, y: np.ndarray) -> tuple
 
 
 def find_lattices(tiles: Sequence[SourceTile]) -> list[TileLattice]:
-    """Group tiles whose samples are on a common grid (a lattice), and return the lattices.
+    """Group tiles whose samples are on a common grid (a lattice), and return the lattices in the order of first tiles.
 
     tiles: in the order of priority, ascending.
     """
-    groups: dict[tuple, list[int]] = {}
-    for number, tile in enumerate(tiles):
-        groups.setdefault(_key(tile), []).append(number)
-    lattices = []
-    for numbers in groups.values():
-        while numbers:  # a group may hold several lattices: take that of its first tile
-            first = tiles[numbers[0]]
-            offsets = {n: offset for n in numbers if (offset := _offset_of(first, tiles[n])) is not None}
-            lattices.append(_lattice(tiles, offsets))
-            numbers = [n for n in numbers if n not in offsets]
+    _, systems = np.unique([tile.crs for tile in tiles], return_inverse=True)  # number of each tile's system
+    sizes = np.array([(tile.width, tile.height) for tile in tiles], np.int64).reshape(-1, 2)
+    spans = np.maximum(sizes - 1, 1)  # from the first sample to the last one, or to a second one that is not there
+    x, y = _corners(tiles, spans)
+    lattices, left, is_left = [], np.arange(len(tiles)), np.ones(len(tiles), bool)
+    while len(left):  # take the lattice of the first tile that is left
+        first = tiles[left[0]]
+        u, v = _indices_in(first, x[left, 0], y[left, 0])  # most tiles of other lattices are found by one corner
+        may_join = (abs(u - np.rint(u)) <= MAX_OFF_GRID) & (abs(v - np.rint(v)) <= MAX_OFF_GRID)
+        may_join &= systems[left] == systems[left[0]]
+        may_join[0] = True
+        numbers = left[may_join]
+        places, off_grid = _offsets(first, x[numbers], y[numbers], spans[numbers])
+        joins = (off_grid <= MAX_OFF_GRID) | (numbers == left[0])
+        numbers = numbers[joins]
+        lattices.append(_lattice(first, numbers, places[joins], sizes[numbers], off_grid[joins]))
+        is_left[numbers] = False
+        left = left[is_left[left]]
     return lattices
 
 
-def _key(tile: SourceTile) -> tuple:
-    """Return what tiles of one lattice have in common: system, steps, and where in a cell their first samples are.
+def _corners(tiles: Sequence[SourceTile], spans: np.ndarray) -> np.ndarray:
+    """Return x and y of the first sample of each tile, of one `spans` columns and of one `spans` rows away.
 
-    It only groups tiles, so that few are compared by `_offset_of`; hence the rounding. Cosines stand for the fractions
-    of a cell, because one fraction may be close to 0 and another close to 1.
+    The result is float64 [2, tiles, 3]. spans: int64 [tiles, 2].
     """
-    a, b, c, d, e, f = tile.transform
-    x, y = tile.position(0, 0)
-    if b == d == 0.0:
-        fractions = (round(math.cos(2 * math.pi * (x / a)), 2), round(math.cos(2 * math.pi * (y / e)), 2))
-    else:  # `_offset_of` tells turned lattices apart
-        fractions = (0.0, 0.0)
-    return tile.crs, *(float(f"{step:.6g}") for step in (a, b, d, e)), *fractions
+    a, b, c, d, e, f = np.array([tile.transform for tile in tiles], np.float64).reshape(-1, 6).T[:, :, None]
+    u, v = spans[:, :1] * (0, 1, 0) + 0.5, spans[:, 1:] * (0, 0, 1) + 0.5
+    return np.stack([a * u + b * v + c, d * u + e * v + f])
 
 
-def _offset_of(first: SourceTile, tile: SourceTile) -> tuple[int, int, float] | None:
-    """Return column and row of a tile's first sample in the lattice of another, and how far its samples are off.
+def _indices_in(first: SourceTile, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return columns and rows, float64, of positions in the lattice of a tile, counted from its first sample."""
+    a, b, _, d, e, _ = first.transform
+    return _indices(first.position(0, 0), (a, b, d, e), x, y)
 
-    Return None if they are off by more than MAX_OFF_GRID, or more than 2^30 columns or rows away.
+
+def _offsets(first: SourceTile, x: np.ndarray, y: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return where tiles are in the lattice of another one, and how far their samples are off it.
+
+    The first result is int64 [tiles, 2], column and row of the first sample. The second is float64 [tiles], the largest
+    distance of the corners in samples; infinite for a tile more than 2^30 columns or rows away.
+
+    Args:
+        first: the tile whose lattice it is.
+        x, y: float64 [tiles, 3], the tiles' corners.
+        spans: int64 [tiles, 2], columns and rows between them.
+    """
+    u, v = _indices_in(first, x, y)
+    is_near = np.isfinite(u).all(1) & np.isfinite(v).all(1) & (np.maximum(abs(u[:, 0]), abs(v[:, 0])) <= 2.0**30)
+    places = np.where(is_near[:, None], np.rint(np.stack([u[:, 0], v[:, 0]], axis=1)), 0.0).astype(np.int64)
+    off_u = abs(u - places[:, :1] - spans[:, :1] * (0, 1, 0))
+    off_v = abs(v - places[:, 1:] - spans[:, 1:] * (0, 0, 1))
+    return places, np.where(is_near, np.maximum(off_u, off_v).max(axis=1), np.inf)
+
+
+def _lattice(
+    first: SourceTile, numbers: np.ndarray, places: np.ndarray, sizes: np.ndarray, off_grid: np.ndarray
+) -> TileLattice:
+    """Return the lattice of a tile and those that join it.
+
+    Args:
+        first: the tile.
+        numbers: int64 [tiles], of all its tiles.
+        places: int64 [tiles, 2], column and row of the first sample of each.
+        sizes: int64 [tiles, 2], columns and rows of each.
+        off_grid: float64 [tiles], distance of each from the lattice in samples.
     """
     a, b, _, d, e, _ = first.transform
-    (x0, y0), corners = first.position(0, 0), ((0, 0), (tile.width - 1, 0), (0, tile.height - 1))
-    x, y = np.array([tile.position(*corner) for corner in corners]).T
-    u, v = _indices((x0, y0), (a, b, d, e), x, y)
-    if not (np.isfinite(u).all() and np.isfinite(v).all()) or max(abs(u[0]), abs(v[0])) > 2.0**30:
-        return None
-    column, row = round(float(u[0])), round(float(v[0]))
-    # the largest distance, along columns or rows, of three corner samples (i, j) from their places in the lattice
-    deviation = max(float(max(abs(u[k] - column - i), abs(v[k] - row - j))) for k, (i, j) in enumerate(corners))
-    return (column, row, deviation) if deviation <= MAX_OFF_GRID else None
-
-
-def _lattice(tiles: Sequence[SourceTile], offsets: dict[int, tuple[int, int, float]]) -> TileLattice:
-    """Return the lattice of the tiles numbered in `offsets`.
-
-    offsets: by tile, the column and row of its first sample in the lattice of the first tile, and its distance from
-    there in samples.
-    """
-    first = tiles[next(iter(offsets))]
-    a, b, _, d, e, _ = first.transform
-    rectangles = [
-        (column, row, column + tiles[n].width - 1, row + tiles[n].height - 1) for n, (column, row, _) in offsets.items()
-    ]
-    deviation = max(offset for _, _, offset in offsets.values())
+    deviation = float(off_grid.max())
     period = period_of(first.crs) / a if d == 0.0 else 0.0  # columns in 360 degrees, if rows are parallels
     return TileLattice(
         crs=first.crs,
         origin=first.position(0, 0),
         steps=(a, b, d, e),
-        tiles=np.array(list(offsets)),
-        rectangles=np.array(rectangles, np.int64),
+        tiles=numbers,
+        rectangles=np.concatenate([places, places + sizes - 1], axis=1),
         off_grid=deviation if deviation > ROUNDING else 0.0,
         period=abs(round(period)) if abs(period - round(period)) < MAX_OFF_GRID else 0,
     )

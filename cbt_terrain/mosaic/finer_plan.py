@@ -68,16 +68,25 @@ def plan_finer(
     """
     if not FEWEST <= grid.width * grid.height <= MAX_TABLE * SIDE * SIDE:
         return None
-    is_finer, saving = levels > 0, SAVING
+    is_finer, plan = levels > 0, None
     if is_finer.any():
         # The coarse step is the largest power of two of finer steps that does not exceed that of a coarse file.
         bits = min(int(np.log2(max(float(steps[~is_finer].min()), 1.0))), MAX_BITS)
-    elif not holes or grid.width * grid.height >= FEWEST_WITH_HOLES:
-        is_finer, saving, bits = np.ones_like(is_finer), SAVING_OF_GAPS, BITS_OF_GAPS
+        plan = _divide(grid, boxes, is_finer, bits, SAVING)
+    if plan is None and (not holes or grid.width * grid.height >= FEWEST_WITH_HOLES):
+        # There are no coarser files, or their steps are too fine to save much. All files count as finest ones.
+        bits = BITS_OF_GAPS
         while bits < MAX_BITS and grid.width * grid.height >> 2 * bits >= MANY_OF_GAPS:
             bits += 1
-    else:
-        return None
+        plan = _divide(grid, boxes, np.ones_like(is_finer), bits, SAVING_OF_GAPS)
+    return plan
+
+
+def _divide(grid: TargetGrid, boxes: np.ndarray, is_finer: np.ndarray, bits: int, saving: int) -> FinerPlan | None:
+    """Return the plan with a coarse cell of 2^bits finest ones; None unless it has `saving` times fewer samples.
+
+    boxes: [files, 4], as in `plan_finer`. is_finer: bool [files], whether a file gets finer tiles.
+    """
     # The coarse grid has every 2^bits-th sample. Finer tiles are stored besides, and together must be few enough.
     is_of_gaps = bool(is_finer.all())
     spare = (1 << bits) - 1 if is_of_gaps else 0  # no finest sample may be beyond the last coarse one

@@ -171,6 +171,19 @@ def test_only_a_large_mosaic_of_gaps_has_finer_tiles(side, bits, monkeypatch):
     assert finer_plan.plan_finer(too_large, levels, steps, boxes, holes=False) is None
 
 
+def test_one_finer_file_does_not_hide_wide_gaps(monkeypatch):
+    """A file at 1 m on one at 2 m, and another at 2 m 250 km away: a raster at 2 m would save too little."""
+    monkeypatch.setattr(finer_plan, "FEWEST", 1 << 29)
+    side = 1 << 18
+    grid = TargetGrid(UTM32, 0.0, 0.0, 1.0, 1.0, 0, 0, side, side)
+    boxes = np.array(
+        [[0, 0, 3000, 3000], [900, 900, 1800, 1800], [side - 3000, side - 3000, side - 1, side - 1]], float
+    )
+    files = np.array([0, 1, 0]), np.array([2.0, 1.0, 2.0]), boxes
+    plan = finer_plan.plan_finer(grid, *files, holes=False)
+    assert plan.bits == 6 and len(plan.boxes) == 3 and plan.is_of_gaps
+
+
 @pytest.mark.thorough
 def test_a_first_picture_of_islands_loads_their_squares(islands, small, tmp_path, monkeypatch):
     """Then it has the islands' heights, without the rest of the rectangle."""

@@ -61,6 +61,25 @@ def fill_missing(samples: np.ndarray, threads: int) -> None:
     fill_rows(lambda: samples, lambda rows: np.isnan(samples[rows]), samples.shape, threads)
 
 
+def nearest_known(values: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return values with the nearest valid one where they are NaN, as `fill_missing`, and the distances to it.
+
+    Distances are in samples, float64, and infinite if no value is valid. values: [rows, columns].
+    """
+    missing = np.isnan(values)
+    if missing.all():
+        return values, np.full(values.shape, np.inf)
+    nowhere = np.full(values.shape[1], -1, np.int32)  # no valid rows below or above
+    row, column = _nearest(missing, 0, nowhere, nowhere, threads)
+    y, x = np.nonzero(missing)
+    columns = column[y, x]
+    rows = row[y, columns]
+    filled, distances = values.copy(), np.zeros(values.shape)
+    filled[y, x] = values[rows, columns]
+    distances[y, x] = np.sqrt((rows - y).astype(np.float64) ** 2 + (columns - x).astype(np.float64) ** 2)
+    return filled, distances
+
+
 def fill_rows(
     opened: Callable[[], np.ndarray],
     missing_in: Callable[[slice], np.ndarray],

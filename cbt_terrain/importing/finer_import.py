@@ -20,6 +20,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import store_folder
+from ..field.cleaning import nearest_known
 from ..field.finer_build import with_finer_tiles
 from ..field.finer_heights import (
     FILLED,
@@ -37,6 +38,7 @@ from ..field.heightfield import HeightField
 from ..field.lattice import TileBox
 from ..field.store import Draft, open_store
 from ..rasters.raster import FinerSource
+from ..run import launch
 from ..tiling.moved_tiles import samples_moved
 from ..tiling.tile_records import FIGURES, FINER, SEAMS
 from ..tiling.tile_work import TileWork, work_in
@@ -63,7 +65,7 @@ def add_finer_tiles(
     margin = border_margin(bits)  # finer samples in which they are mixed; files are that far inside the tiles' border
     known = known_tiles(source.boxes, margin, last, tile_shape(lattice, bits))  # (column, row) of the finer tiles
     known = {tile for tile in known if is_in_squares(tile, source, lattice)}
-    windows = _Windows(source, reader, last)
+    windows = _Windows(source, reader, last, margin if source.continues else 0)
     # Tiles of the store that is replaced can be copied only if the source gives digests of what determines them.
     earlier = _EarlierTiles(draft.path, work, bits) if source.inputs is not None else None
     records = _WorkRecords(work, windows, earlier)
@@ -72,10 +74,11 @@ def add_finer_tiles(
 
     def read(box: TileBox) -> np.ndarray:
         """Return the finer heights of a tile, near the border of all tiles mixed with those of the raster."""
-        heights = windows.heights(box)
+        heights, nearness = windows.heights(box)
         rows, columns = box.shape
         # Weights of the finer heights: from 0 at the border of all tiles to 1 inside the margin.
         weights = border_weights((box.x0 // SIDE, box.y0 // SIDE), known, margin, last)[:rows, :columns]
+        weights = np.minimum(weights, nearness)
         if (weights < 1.0).any():
             x, y = np.arange(box.x0, box.x1 + 1), np.arange(box.y0, box.y1 + 1)
             coarse = raster_heights(plain, bits, x, y)
@@ -246,27 +249,55 @@ class _Windows:
             largest errors of positions and vertical datums, in the unit of the files' values.
     """
 
-    def __init__(self, source: FinerSource, reader: HeightReader, last: tuple[int, int]):
-        """Prepare the reading. last: column and row of the last finer sample."""
-        self._source, self._reader, self._last = source, reader, last
-        self._kept: dict[tuple[int, int], np.ndarray] = {}  # heights by column and row of the window, at most one
+    def __init__(self, source: FinerSource, reader: HeightReader, last: tuple[int, int], margin: int):
+        """Prepare the reading.
+
+        last: column and row of the last finer sample. margin: samples from known ones up to which heights continue
+        these; 0 if they do not.
+        """
+        self._source, self._reader, self._last, self._margin = source, reader, last, margin
+        # Heights and nearness by column and row of the window, at most one.
+        self._kept: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}
         self.figures: dict[str, float] = {}
 
-    def heights(self, box: TileBox) -> np.ndarray:
-        """Return the heights of a tile's samples, float32 metres, row 0 south; NaN where no file has any."""
+    def heights(self, box: TileBox) -> tuple[np.ndarray, np.ndarray]:
+        """Return the heights of a tile's samples, float32 metres, row 0 south, and how near known samples are.
+
+        Within the margin heights are those of the nearest known sample, and nearness falls from 1 to 0. Heights are NaN
+        farther away, and everywhere in a gap if there is no margin; nearness is then 1.
+        """
         wide = WINDOW * SIDE  # finer cells along a window
         key = box.x0 // wide, box.y0 // wide
         if key not in self._kept:
             x1, y1 = (min((n + 1) * wide, end) for n, end in zip(key, self._last, strict=True))
-            self._kept = {key: self._read(key[0] * wide, key[1] * wide, x1, y1)}
+            self._kept = {key: self._continued(TileBox(key[0] * wide, key[1] * wide, x1, y1))}
         x, y = box.x0 - key[0] * wide, box.y0 - key[1] * wide
-        return self._kept[key][y : y + box.shape[0], x : x + box.shape[1]]
+        heights, nearness = (values[y : y + box.shape[0], x : x + box.shape[1]] for values in self._kept[key])
+        return heights, nearness
 
     def inputs_of(self, box: TileBox) -> str:
         """Return a digest of all that determines the heights of a window."""
         inputs = self._source.inputs
-        sources = inputs(*self._in_file(*box)) if inputs is not None else ""
+        sources = inputs(*self._in_file(*self._widened(box))) if inputs is not None else ""
         return f"{sources} {scaling_of(self._reader.raster, self._reader.settings)}"
+
+    def _widened(self, box: TileBox) -> TileBox:
+        """Return a box with the margin on each side, inside the raster."""
+        low = (max(end - self._margin, 0) for end in (box.x0, box.y0))
+        high = (min(end + self._margin, last) for end, last in zip((box.x1, box.y1), self._last, strict=True))
+        return TileBox(*low, *high)
+
+    def _continued(self, box: TileBox) -> tuple[np.ndarray, np.ndarray]:
+        """Read a window, and return heights and nearness as `heights` does."""
+        wide = self._widened(box)
+        heights = self._read(*wide)
+        nearness = np.ones(heights.shape)
+        if self._margin and np.isnan(heights).any():
+            heights, distances = nearest_known(heights, launch.default_threads())
+            nearness = np.maximum(1.0 - distances / self._margin, 0.0)
+            heights[nearness == 0.0] = np.nan
+        inner = slice(box.y0 - wide.y0, box.y1 - wide.y0 + 1), slice(box.x0 - wide.x0, box.x1 - wide.x0 + 1)
+        return heights[inner], nearness[inner]
 
     def add(self, figures: dict[str, float]) -> None:
         """Give the reader the figures of a window, as the largest height and error that were read."""

@@ -74,8 +74,8 @@ def finer_source(raster: Raster, counts: Sequence[int], loaded: Sequence[int]) -
         v, u = nearest(first, count, column, columns)
         return f"{raster.inputs(*_span(v), *_span(u))} {raster_cells} {finer_cells}"
 
-    has_inputs = raster.inputs is not None
-    return FinerSource(bits, boxes, window, inputs if has_inputs else None, squares=frozenset(loaded))
+    given = inputs if raster.inputs is not None else None
+    return FinerSource(bits, boxes, window, given, squares=frozenset(loaded), continues=raster.finest.continues)
 
 
 def _span(places: np.ndarray) -> tuple[int, int]:

@@ -75,8 +75,9 @@ def plan_finer(
         plan = _divide(grid, boxes, is_finer, bits, SAVING)
     if plan is None and (not holes or grid.width * grid.height >= FEWEST_WITH_HOLES):
         # There are no coarser files, or their steps are too fine to save much. All files count as finest ones.
-        bits = BITS_OF_GAPS
-        while bits < MAX_BITS and grid.width * grid.height >> 2 * bits >= MANY_OF_GAPS:
+        # A coarse cell is not larger than the smallest file, so that each file has a coarse sample.
+        bits, sides = BITS_OF_GAPS, boxes[:, 2:] - boxes[:, :2]
+        while 2 << bits <= min(1 << MAX_BITS, sides.min()) and grid.width * grid.height >> 2 * bits >= MANY_OF_GAPS:
             bits += 1
         plan = _divide(grid, boxes, np.ones_like(is_finer), bits, SAVING_OF_GAPS)
     return plan

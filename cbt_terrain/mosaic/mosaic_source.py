@@ -152,12 +152,18 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
 
     raster.window, raster.pick, raster.finish = window, pick, finish
     if composite.finest is not None:  # the raster has the finest step everywhere
-        raster.finest = FinerSource(composite.finest.bits, composite.finest.boxes, window)
+        plan = composite.finest
+        raster.finest = FinerSource(plan.bits, plan.boxes, window, continues=plan.is_of_gaps)
     if composite.finer is not None:  # the raster has the step of the coarser files
         plan, all_files = composite.finer  # all_files: another composite, on the finest grid
         finer_window = partial(read_window, all_files)
         raster.finer = FinerSource(
-            plan.bits, plan.boxes, finer_window, inputs=all_files.inputs_by_seams, keep_seams=all_files.keep_seams
+            plan.bits,
+            plan.boxes,
+            finer_window,
+            inputs=all_files.inputs_by_seams,
+            keep_seams=all_files.keep_seams,
+            continues=plan.is_of_gaps,
         )
     return raster
 

@@ -185,6 +185,7 @@ class FinerSource:
         keep_seams: keep_seams(find, note) uses records of the borders of files: find(row, column) returns the values of
             the record of a block of the finest grid, None without one, and note(row, column, **values) writes one.
         squares: numbers of the squares to load (importing/finer_squares.py), None for all.
+        continues: whether heights beside known samples continue these, for files without coarser ones below.
     """
 
     bits: int
@@ -193,6 +194,7 @@ class FinerSource:
     inputs: Callable[[int, int, int, int], str] | None = None
     keep_seams: Callable[[Callable, Callable], None] | None = None
     squares: frozenset[int] | None = None
+    continues: bool = False
 
 
 @dataclass

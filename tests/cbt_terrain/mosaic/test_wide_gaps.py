@@ -81,6 +81,26 @@ def test_the_gap_has_heights_of_its_borders(islands):
 
 
 @pytest.mark.parametrize("name", CORNERS)
+def test_the_border_of_an_island_is_no_wall(islands, name):
+    """Heights outside of a file continue those at its border, with slopes as of its own land."""
+    sheets, folder, _ = islands
+    field, one = open_store(folder / "store"), sheets[name]
+    a, _, c, _, e, f = field.raster.place
+    inner = np.abs(np.diff(one.heights, axis=0)).max(), np.abs(np.diff(one.heights, axis=1)).max()
+    for side in range(4):
+        t = np.random.default_rng(side).random((500, 1))
+        out = np.arange(0.0, 80.0, 0.5)  # metres from the outer samples outwards, past the 32 samples of the margin
+        width, height = (WIDE - 1) * STEP, (HIGH - 1) * STEP
+        x, y = ((t * width, height + out), (t * width, -out), (width + out, t * height), (-out, t * height))[side]
+        x, y = np.broadcast_arrays(one.west + 0.5 * STEP + x, one.north - 0.5 * STEP - y)
+        places = np.stack([(x.ravel() - c) / a, (y.ravel() - f) / e], 1)
+        found = ground_at(field, places)
+        heights = np.where(found.inside, found.heights, np.nan).reshape(x.shape)
+        steps = np.abs(np.diff(heights, axis=1))
+        assert np.nanmax(steps, initial=0.0) < 0.5 * max(inner), side
+
+
+@pytest.mark.parametrize("name", CORNERS)
 def test_a_mesh_of_an_island_keeps_its_bound(islands, name):
     sheets, folder, _ = islands
     field = open_store(folder / "store")

@@ -16,6 +16,7 @@ from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.lattice import Lattice, lattice_for
 from ..field.store import Draft
+from ..rasters.raster import MOSAIC
 from ..run import partial_files
 from ..tiling.moved_tiles import copy_moved, tiles_moved
 from ..tiling.tile_grid import TILE_BITS, TileGrid
@@ -25,7 +26,10 @@ from .drafts import open_draft, work_bytes
 from .height_reader import scaling_of
 from .tile_tasks import TileSource, unit_count
 
-DOUBT = ", or check that the header of {} has its true size"  # remedy for an implausibly large store
+# Remedies for an implausibly large store, of one file and of a mosaic with its gaps.
+DOUBT = ", or check that the header of {} has its true size"
+COARSER = ", or give a larger step{}"
+WITHOUT_HOLES = ", or fill gaps instead of cutting them out, which takes little room if they are wide"
 
 
 @contextmanager
@@ -42,7 +46,11 @@ def open_work(wanted: TileWork, source: TileSource) -> Iterator[tuple[Draft, Til
         store_folder.remove_abandoned(path, with_work=work is None)
     # A new work needs room on the disk: 4 bytes for a height as float, 2 for a number of steps.
     needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
-    with open_draft(path, wanted.folder.name, lattice, needed, doubt=DOUBT.format(source.settings.name)) as draft:
+    settings = source.settings
+    remedy = DOUBT.format(settings.name)
+    if source.raster.format == MOSAIC:
+        remedy = COARSER.format(WITHOUT_HOLES if settings.holes else "")
+    with open_draft(path, wanted.folder.name, lattice, needed, doubt=remedy) as draft:
         yield draft, work
 
 

@@ -19,7 +19,7 @@ from ..importing.source_list import options_of_several
 from ..importing.thinning import FROM_OVERVIEWS, WORTHWHILE
 from ..rasters.file_grid import FileGrid, unit_of
 from ..rasters.length_scale import length_warnings, mirror_warnings
-from ..rasters.raster import FinerSource, ImportSettings, Raster
+from ..rasters.raster import MOSAIC, FinerSource, ImportSettings, Raster
 from ..view.linear import add_up
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
@@ -104,7 +104,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         height=grid.height,
         read=lambda first, count: window(first, count, column=0, columns=grid.width),
         stored=composite.stored,
-        format="mosaic",
+        format=MOSAIC,
         grid=file_grid,
         georeference=georeference_of(grid),
         is_sized=True,

@@ -24,6 +24,7 @@ _PROJECT = re.compile(r"(utm|epsg:\d{1,7})?", re.IGNORECASE)
 ENCODINGS = ("", "terrarium", "mapbox", "plain")  # coded_heights.py
 ORDER, RESOLUTION, NEWEST = "order", "resolution", "newest"
 PRIORITIES = (ORDER, RESOLUTION, NEWEST)
+MOSAIC = "mosaic"  # format of a raster of several files
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
 
 

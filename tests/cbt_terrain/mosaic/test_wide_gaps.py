@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mosaics that mostly consist of gaps: the store grows with the files, not with the rectangle around them."""
 
+import shutil
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
@@ -150,6 +154,14 @@ def test_a_large_gap_is_cut_out_around_the_files(islands, small, tmp_path, monke
         off = mesh_heights(update.surface, places) - sheet_.at(UTM32, *at)  # fails where no triangle is
         assert np.abs(off).max() <= update.bound_m + field.source_max
     assert is_near.all() and len(used) > 1000
+
+
+def test_a_full_disk_names_the_remedies_of_a_mosaic(islands, small, tmp_path, monkeypatch):
+    _, folder, _ = islands
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=1 << 20))
+    for holes, remedy in ((False, r"give a larger step\.$"), (True, "give a larger step, or fill gaps instead")):
+        with pytest.raises(TerrainError, match=remedy):
+            run_mosaic_import(ImportSettings(str(folder / "files"), holes=holes), tmp_path / "store")
 
 
 def test_widened_samples_do_not_depend_on_their_window():

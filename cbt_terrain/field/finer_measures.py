@@ -166,7 +166,7 @@ def fill_ranges(
     images = list(_images(small.range_layout(), surface_ranges, with_cells=False))
     for tile in tiles:
         area = rectangle.samples_of(tile)
-        # Images of ranges have every other vertex: the two finest depths store none.
+        # An image of ranges has every other vertex, since the two finest depths store none: hence 1 more halving.
         ranges[tile.number] = np.concatenate([_pages(image, area, shift + 1) for image, shift in images])
 
 

@@ -227,7 +227,10 @@ def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tup
 
 
 def finish_shaping(land: Land, wanted: Tiles | None) -> None:
-    """Record the tiles of land that was just shaped, and remove old land. wanted: the requested tiles, None for all."""
+    """Record the tiles of land that was just shaped, and remove the land unused for longest if it fills too much disk.
+
+    wanted: the requested tiles, None for all.
+    """
     requested_tiles.note(land.folder, wanted)
     remove_old(land)
 

@@ -218,7 +218,10 @@ def _result(shaping: Shaping, state: LevelState | None, early: bool) -> Shaped:
 
 
 def _change_of_raster(shaping: Shaping, state: LevelState) -> np.ndarray:
-    """Return the change of the last computed level at the raster's samples, without spikes at cliffs."""
+    """Return the change of the last computed level at the raster's samples.
+
+    `finer_change` interpolates it, and takes away the raster's own detail that it replaces, so cliffs get no spikes.
+    """
     number, before = state.level.number, LevelGround.of(shaping.heights, state.level).heights
     result = np.empty((shaping.heights.lattice.height, shaping.heights.lattice.width), np.float32)
     columns = np.arange(result.shape[1]) / (1 << number)

@@ -56,7 +56,8 @@ def find_edges(composite: Composite) -> StepReport:
     names: list[tuple[str, str]] = []
     for edge in chosen:
         composite.on_piece()
-        # The heights of each file on the edge, and the same difference a sample farther inside, which its land makes.
+        # The heights of each file on the edge, and their change over the next sample inside it: so much of the step
+        # between the files is a slope of the land.
         first, step_in_first = _border(composite, edge, is_second=False)
         second, step_in_second = _border(composite, edge, is_second=True)
         step = second - first

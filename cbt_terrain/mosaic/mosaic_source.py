@@ -81,7 +81,7 @@ def check_settings(settings: ImportSettings) -> None:
 
 
 def georeference_of(grid: TargetGrid) -> Georeference:
-    """Return the georeference of a grid, with a warning about wrong lengths."""
+    """Return the georeference of a grid, with a warning if steps in its system are not true lengths."""
     crs = crs_of(grid.crs) if grid.crs else None
     file_grid = FileGrid(crs, grid.transform)
     georeference = from_transform(grid.transform, grid.width, grid.height, crs=grid.crs, **unit_of(crs))

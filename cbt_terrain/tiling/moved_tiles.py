@@ -95,7 +95,8 @@ def _common_tiles(before: TileGrid, grid: TileGrid, moved: tuple[int, int]) -> d
 def _copy_measured(before: TileWork, number: int, work: TileWork, new: int) -> None:
     """Copy the errors and ranges of tile `number` of an earlier raster to tile `new` of a work.
 
-    "borders" are the values of vertices near the tile's border, before they were united with those of its neighbours.
+    "borders" are the values of vertices near the tile's border as this tile alone was measured; the raster has the
+    largest value of all tiles that share a vertex.
     Ranges are stored for every other sample only, so their layout is that of a grid at half the resolution.
     """
     work.open("borders")[new] = before.open("borders")[number]

@@ -190,8 +190,8 @@ def reference_in_cell(ground: Reference, i: wp.int32, j: wp.int32, u: wp.float64
     """Return the height of the reference surface at (u, v), metres, with detail and vertical scaling.
 
     (i, j): the cell that contains the point; u, v: cells from the raster's south-west corner. A finer tile there
-    replaces the cell's surface. A bicubic surface goes through the tile's samples: between them it is the patch plus
-    the differences at the samples, interpolated bilinearly.
+    replaces the cell's surface. A bicubic surface goes through the tile's samples: it is the patch plus the bilinear
+    interpolation of the samples' differences from the patch.
     """
     p = corners_of(ground.samples, i, j)
     s = u - wp.float64(i)

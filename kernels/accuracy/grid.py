@@ -40,6 +40,7 @@ def grid_extremes(
             while y <= f.north:
                 x = (f.west + spacing - one) / spacing * spacing
                 while x <= f.east:
+                    # one: x and y are in lattice units, too
                     if covers(f, one, x, y, shift_of(x, end_x), shift_of(y, end_y)):
                         u = wp.float64(x) * per_unit
                         v = wp.float64(y) * per_unit

@@ -24,6 +24,7 @@ def mountains_height(x: wp.float64, y: wp.float64, half_side: wp.float64, seed: 
     x, y: metres from the middle of the square. half_side: half of the square's side, metres.
     """
     one = wp.float64(1.0)
+    # Noise moves the points at which the range is evaluated, so that its ridges bend.
     coarse_warp = noise(x / wp.float64(13000.0), y / wp.float64(13000.0), seed + wp.uint32(31))
     fine_warp = noise(x / wp.float64(4700.0), y / wp.float64(4700.0), seed + wp.uint32(32))
     wx = x + wp.float64(1500.0) * coarse_warp[0] + wp.float64(350.0) * fine_warp[0]

@@ -240,9 +240,9 @@ def baked_piece(
     """Return a static mesh that is at most `max_error_m` metres of height off its store's height field.
 
     `budget`: largest number of triangles, None for any; it may make the error larger. `in_blender`: whether the format
-    needs a Blender object; its empty file takes the place of the open one. `detail`: displacement, or None. `fitted`:
-    vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the measured
-    maximum.
+    needs a Blender object, which is made in an empty file that replaces the open one. `detail`: displacement, or None.
+    `fitted`: vertices leave the surface to save triangles, which `on_progress` follows (0 .. 1); the info then has the
+    measured maximum.
     """
     from ...cbt_terrain.fit.fit import bake, check_interpolation
 

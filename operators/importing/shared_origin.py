@@ -271,7 +271,7 @@ def place_terrain(obj, scene, imported: Imported | None) -> list[str]:
     if imported.crs != origin.crs:
         return _place_by_anchor(obj, origin, imported)
     (obj.location.x, obj.location.y), angle, (scale_x, scale_y) = _transform_of(obj, origin, imported)
-    if abs(angle) > SAME:
+    if abs(angle) > SAME:  # otherwise a user's rotation stays, as does a scale below
         obj.rotation_euler.z = angle
     if max(abs(scale_x - 1.0), abs(scale_y - 1.0)) > SAME:  # degrees at another latitude
         obj.scale.x, obj.scale.y = scale_x, scale_y

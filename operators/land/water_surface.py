@@ -95,8 +95,9 @@ def _water_mesh(
 ) -> tuple[Surface, float | None]:
     """Return the water of a terrain, and the level of its sea, None for depths of the stack. For any thread.
 
-    name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres; None for the depths that
-    operators of the stack have left, or if there are none for a level that shows water. Raises TerrainError.
+    name, anchor: the terrain's. store, land: its heights. level: the sea's height in metres. With None the water has
+    the depths that operators of the stack have left; without such depths a level is chosen that shows water. Raises
+    TerrainError.
     """
     from ...cbt_terrain.height_operators.water_surface import default_sea, water_of
 

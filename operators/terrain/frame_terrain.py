@@ -164,7 +164,7 @@ class FrameTerrain(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        """Return whether the active object is an editable terrain with a store."""
+        """Return whether the active object is a terrain of this file, which `is_terrain` tells, with a store."""
         obj = context.object
         return obj is not None and session.is_terrain(obj) and bool(obj.adaptive_terrain.store)
 

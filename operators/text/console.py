@@ -151,7 +151,7 @@ def why_stdout_failed(error: Exception) -> str:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, 1)
         os.close(nowhere)
-    else:  # Writing works. It also does after a broken pipe, since Python then has dropped the rest itself.
+    else:  # Nothing is left to write: stdout works, or Python has dropped the output because the pipe is broken.
         if not isinstance(error, BrokenPipeError):
             return ""
     return f"stdout cannot be written ({error.strerror}): make room, or keep reading from the pipe."

@@ -192,6 +192,7 @@ class ShowMessage(bpy.types.Operator):
         def draw(popup, _context):
             """Draw the texts as lines of the popup."""
             for text, icon in texts:
+                # The first line has the icon; that of errors is in the popup's title.
                 for number, line in enumerate(wrap_words(text, POPUP_LINE)):
                     popup.layout.label(text=line, icon=icon if number == 0 and icon != "ERROR" else "NONE")
 

@@ -210,7 +210,12 @@ def _expected_seconds(composite: Composite) -> float:
     """Return the expected time of an import: that of measured windows, times the samples that each stands for."""
     # With finer tiles, the plan has the samples of a raster without them that takes as long.
     samples = composite.grid.width * composite.grid.height if composite.finer is None else composite.finer[0].work
-    seconds = add_up(fraction * _seconds_at(composite, *middle) for fraction, middle in measured_parts(composite))
+    if composite.finer is not None and composite.finer[0].is_of_gaps:  # samples of files take nearly all of the time
+        plan, all_files = composite.finer
+        largest = plan.boxes[np.argmax((plan.boxes[:, 2:] - plan.boxes[:, :2]).prod(axis=1))]
+        seconds = _seconds_at(all_files, *(largest[:2] + largest[2:]) / 2)
+    else:
+        seconds = add_up(fraction * _seconds_at(composite, *middle) for fraction, middle in measured_parts(composite))
     return float(f"{seconds * samples:.2g}")
 
 

@@ -11,8 +11,9 @@ from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.refining import with_loaded
-from adaptive_terrain.cbt_terrain.mosaic import finer_plan, mosaic_source
+from adaptive_terrain.cbt_terrain.mosaic import finer_plan, mosaic_source, report
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
+from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -162,6 +163,20 @@ def test_a_full_disk_names_the_remedies_of_a_mosaic(islands, small, tmp_path, mo
     for holes, remedy in ((False, r"give a larger step\.$"), (True, "give a larger step, or fill gaps instead")):
         with pytest.raises(TerrainError, match=remedy):
             run_mosaic_import(ImportSettings(str(folder / "files"), holes=holes), tmp_path / "store")
+
+
+def test_the_time_is_measured_in_a_file_at_its_step(islands, small, monkeypatch):
+    """In the middle of the rectangle is no file, and coarse samples are far apart."""
+    _, folder, _ = islands
+    composite, windows = open_composite(ImportSettings(str(folder / "files")), None), []
+    plan, all_files = composite.finer
+    read = all_files.read
+    monkeypatch.setattr(all_files, "read", lambda *window: windows.append(window) or read(*window))
+    assert report._expected_seconds(composite) > 0.0
+    top, rows, left, columns = windows[-1]
+    middles = (plan.boxes[:, :2] + plan.boxes[:, 2:]) / 2
+    assert ((middles >= (left, top)) & (middles < (left + columns, top + rows))).all(axis=1).any()
+    composite.close()
 
 
 def test_widened_samples_do_not_depend_on_their_window():

@@ -227,10 +227,7 @@ def begin_shaping(land: Land, wanted: Tiles | None, gentle: bool = False) -> tup
 
 
 def finish_shaping(land: Land, wanted: Tiles | None) -> None:
-    """Record the tiles of land that was just shaped, and remove the land unused for longest if it fills too much disk.
-
-    wanted: the requested tiles, None for all.
-    """
+    """Record tiles that were just shaped, and remove land beyond MAX_BYTES. wanted: requested tiles, None for all."""
     requested_tiles.note(land.folder, wanted)
     remove_old(land)
 

@@ -28,7 +28,7 @@ from .tile_tasks import TileSource, unit_count
 
 # Remedies for an implausibly large store, of one file and of a mosaic with its gaps.
 DOUBT = ", or check that the header of {} has its true size"
-COARSER = ", or give a larger step{}"
+COARSER = ", or give a larger step"
 WITHOUT_HOLES = ", or fill gaps instead of cutting them out, which takes little room if they are wide"
 
 
@@ -49,7 +49,7 @@ def open_work(wanted: TileWork, source: TileSource) -> Iterator[tuple[Draft, Til
     settings = source.settings
     remedy = DOUBT.format(settings.name)
     if source.raster.format == MOSAIC:
-        remedy = COARSER.format(WITHOUT_HOLES if settings.holes else "")
+        remedy = COARSER + (WITHOUT_HOLES if settings.holes else "")
     with open_draft(path, wanted.folder.name, lattice, needed, doubt=remedy) as draft:
         yield draft, work
 

@@ -20,7 +20,7 @@ from .bridge import freed_memory
 from .bridge.demand import demand_cache
 from .bridge.writing import allow_writing
 from .ground import keep_ground
-from .importing import import_terrain, incomplete
+from .importing import import_terrain, incomplete, shared_origin
 from .land import render_wait, resting_land
 from .session import live, pauses, session, stale_renders
 from .terrain.request import RENDER, VIEWPORT
@@ -182,7 +182,7 @@ def on_render_pre(scene, _unused=None) -> None:
     _joined_frames.clear()
     for obj in session.all_terrains():
         if not obj.hide_render:
-            live.follow_replaced_store(obj)
+            shared_origin.follow_replaced_store(obj)
 
 
 @_unless_paused

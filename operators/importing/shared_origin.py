@@ -33,9 +33,9 @@ from ..bridge.scene_origin import (
     unit_lengths,
 )
 from ..bridge.scene_paths import absolute_path
+from ..ground.shifting import keep_children, shift_location
 from ..scatter.request import CORNER
-from ..session import live, session
-from ..terrain import move_world
+from ..session import session
 from .imported import LONGEST_CRS, Imported, imported_of, tag_object
 
 SAME = 1e-6  # relative difference of lengths, and radians, that count as equal
@@ -120,8 +120,8 @@ def keep_ground(obj, by: np.ndarray, is_placed: bool) -> None:
     if not is_placed:
         basis = np.array(obj.matrix_basis, np.float64)[:3, :2]
         shifted: set[int] = set()  # animation curves that are shifted already
-        move_world.shift_location(obj, Vector((basis @ by).tolist()), shifted)
-    move_world.keep_children(obj, by)
+        shift_location(obj, Vector((basis @ by).tolist()), shifted)
+    keep_children(obj, by)
 
 
 def _move_of_raster(obj) -> np.ndarray | None:
@@ -169,9 +169,6 @@ def follow_replaced_store(obj) -> bool:
     has_moved = before is not None and before[0] == store and follow_raster(obj)
     record.placed_for = now if _move_of_raster(obj) is None else None
     return has_moved
-
-
-live.follow_replaced_store = follow_replaced_store
 
 
 def follow_store(obj) -> None:

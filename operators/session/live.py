@@ -22,6 +22,7 @@ from .. import jobs
 from ..bridge.demand.screens import screens_key
 from ..bridge.writing import allow_writing
 from ..ground import keep_ground
+from ..importing.shared_origin import follow_replaced_store
 from ..land import resting_land
 from ..terrain.camera_source import follows_viewport
 from ..terrain.request import RENDER, VIEWPORT, Request, correct_for_time, gather, record_time
@@ -59,14 +60,6 @@ def mark_dirty() -> None:
     """Request an update after a change that a terrain may depend on. Any thread may call it."""
     global _dirty
     _dirty = True
-
-
-def follow_replaced_store(_obj) -> bool:
-    """Keep the ground of a terrain in the world if another program has replaced its store; return whether it moved.
-
-    The room of imports replaces this function, which does nothing.
-    """
-    return False
 
 
 def tick() -> float:

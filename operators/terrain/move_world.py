@@ -8,7 +8,7 @@ depend on the frame.
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Vector
 
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.field.heightfield import anchored
@@ -17,9 +17,8 @@ from ...cbt_terrain.view.linear import inverse
 from ..bridge import camera as cameras
 from ..bridge.evaluated import anchor_of, raster_placement_of
 from ..bridge.scene_origin import claim_origin, is_claimed, origin_of, set_origin
-from ..ground import add_collider
-from ..land import shaped_land, water_object
-from ..scatter.request import scatters_of
+from ..ground.shifting import curves_of, keep_children, shift_location
+from ..land import shaped_land
 from ..session import live, session
 from ..session.pauses import handlers_paused
 from ..session.polls import ObjectModeOperator, cancelled_by_errors
@@ -118,43 +117,6 @@ def move_world(context, by: np.ndarray) -> list[str]:
     return driven_names
 
 
-def shift_location(obj, by: Vector, shifted: set[int]) -> bool:
-    """Add `by` to an object's location in all frames; return False if a driver or a track moves the object.
-
-    Its delta location is moved then. shifted: pointers of the animation curves that are shifted already, since objects
-    may share an action.
-    """
-    animation = obj.animation_data
-    is_driven = animation is not None and (
-        any(driver.data_path == "location" for driver in animation.drivers)
-        or any(len(track.strips) for track in animation.nla_tracks)
-    )
-    if is_driven:
-        obj.delta_location = Vector(obj.delta_location) + by
-        return False
-    obj.location = Vector(obj.location) + by
-    for curve in _curves_of(animation, "location"):
-        if curve.as_pointer() not in shifted:
-            shifted.add(curve.as_pointer())
-            for key in curve.keyframe_points:
-                for point in (key.co, key.handle_left, key.handle_right):
-                    point.y += by[curve.array_index]
-            curve.update()
-    return True
-
-
-def _curves_of(animation, *paths: str) -> list:
-    """Return the animation curves of an object's channels `paths`, in its slot of the action."""
-    action = None if animation is None else animation.action
-    if action is None:
-        return []
-    curves = getattr(action, "fcurves", ())
-    if len(getattr(action, "layers", ())):  # from Blender 4.4 on
-        bags = [bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags]
-        curves = [curve for bag in bags if bag.slot == animation.action_slot for curve in bag.fcurves]
-    return [curve for curve in curves if curve.data_path in paths]
-
-
 def nearest_anchor(obj) -> tuple[float, float]:
     """Return the anchor of a terrain that is nearest to the world's origin, metres from the raster's middle."""
     x, y = inverse(raster_placement_of(obj))[:2, 3].tolist()
@@ -171,7 +133,7 @@ def set_anchor(obj, x: float, y: float) -> None:
     if not by.any():
         return
     anchored(session.open_field(shaped_land.store_of(obj)), x, y)  # only for its TerrainError
-    if _curves_of(obj.animation_data, "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"):
+    if curves_of(obj.animation_data, "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale"):
         raise TerrainError(
             f"The terrain {obj.name!r} has an animated rotation or scale, so its origin cannot be moved",
             fix="animate a parent of it instead",
@@ -180,17 +142,3 @@ def set_anchor(obj, x: float, y: float) -> None:
     shift_location(obj, Vector((basis @ by).tolist()), shifted=set())  # no curves were shifted before
     obj.adaptive_terrain.anchor = (x, y)
     keep_children(obj, by)
-
-
-def keep_children(obj, by: np.ndarray) -> None:
-    """Keep the children of a terrain in their places on the ground after its origin has moved.
-
-    by: move of the origin in the terrain's space, float64 [2] metres.
-    """
-    back = Matrix.Translation((*(-by).tolist(), 0.0))
-    static = {found for found in (water_object.existing_water(obj), add_collider.collider_of(obj)) if found is not None}
-    for child in obj.children:
-        if child in static:  # meshes in the terrain's space
-            child.data.transform(back)
-        elif child not in scatters_of(obj):  # their points follow the anchor by themselves
-            child.matrix_parent_inverse = back @ child.matrix_parent_inverse

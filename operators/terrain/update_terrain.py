@@ -5,8 +5,9 @@ from types import ModuleType
 
 import bpy
 
+from ..importing import shared_origin
 from ..kernel_operator import KernelOperator
-from ..session import live, session
+from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from .request import VIEWPORT, gather
 from .request_kernels import kernels_for
@@ -30,7 +31,7 @@ class UpdateTerrain(UpdatingOperator, bpy.types.Operator):
     @cancelled_by_errors
     def execute(self, context):
         """Update the active terrain for the viewport, and report its triangles."""
-        live.follow_replaced_store(context.object)
+        shared_origin.follow_replaced_store(context.object)
         session.update_object(context.object)
         self.report({"INFO"}, f"{len(context.object.data.polygons):,} triangles")
         return {"FINISHED"}

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.operators.ground import world_ground
+from adaptive_terrain.operators.ground.shifting import curves_of
 from adaptive_terrain.operators.maps.request import visit_for_request
 from adaptive_terrain.operators.session import session
-from adaptive_terrain.operators.terrain.move_world import _curves_of, set_anchor
+from adaptive_terrain.operators.terrain.move_world import set_anchor
 from adaptive_terrain.operators.terrain.request import RENDER
 from blender_meshes import positions
 from demand_trees import new_object
@@ -73,7 +74,7 @@ def test_positions_in_the_world_become_exact(scene, add_terrain, country):
     points = ground_points(terrain)
     after = errors(points, terrain, country, -FAR)
     assert len(points) > 30 and after.max() < 1.3e-4, "float32 has steps of 0.12 mm at 1.5 km"
-    xs = [_curves_of(scene.camera.animation_data, "location")[0].evaluate(frame) for frame in (1, 20)]
+    xs = [curves_of(scene.camera.animation_data, "location")[0].evaluate(frame) for frame in (1, 20)]
     assert xs == pytest.approx([-200.0, 200.0], abs=0.04)
     bpy.context.view_layer.update()
     assert (rock.matrix_world.translation - Vector((0.0, 30.0, 5.0))).length < 0.04

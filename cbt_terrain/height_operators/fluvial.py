@@ -242,6 +242,7 @@ def _deposit(
     uplift, before the incision. filled: water's surface. Both are float32 [n] m. years: length of the step.
     """
     load = np.zeros(len(filled)) if bed.inflow is None else bed.inflow * years
+    # Before sediment raises the bed. A weight above 0: the mask lets rivers change the sample.
     lake = (filled > bed.heights) & (drainage.base == 0) & (bed.weight > 0.0)
     river.raised, river.load = flat(raised, wp.float32), flat(load, wp.float64)
     launch.once(kernels.deposit, [river], step="rivers")  # changes the bed's heights and adds to `load`

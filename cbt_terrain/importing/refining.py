@@ -124,7 +124,10 @@ def loaded_tiles(provenance: dict) -> frozenset[int]:
 def with_loaded(
     settings: ImportSettings, store: Path, tiles: Iterable[int] = (), squares: Iterable[int] = ()
 ) -> ImportSettings:
-    """Return settings that load further tiles and squares in addition to those of a store. Raises TerrainError."""
+    """Return settings that load further tiles and squares in addition to those of a store. Raises TerrainError.
+
+    tiles: numbers of TileGrid for heights of the raster. squares: numbers of squares of a mosaic's finer files.
+    """
     field = open_store(store)
     before = finer_squares(field)
     numbers = loaded_tiles(field.provenance).union(tiles), (before.loaded if before else frozenset()).union(squares)
@@ -185,8 +188,9 @@ def _full_size(field: HeightField) -> tuple[int, int] | None:
 
 
 def _loaded_bits(field: HeightField, full: tuple[int, int]) -> int:
-    """Return log2 of the number of loaded cells along one cell of a quick import: FACTOR, or those of the raster.
+    """Return log2 of the number of cells along a side that loaded heights have in one cell of a quick import.
 
-    full: columns and rows of the complete raster. Both numbers are powers of two.
+    The number is FACTOR, or less if the complete raster has fewer there; both are powers of two. full: columns and rows
+    of the complete raster. settings["quick"] is the number of samples that were asked for.
     """
     return min(FACTOR, stride_of(*full, field.provenance["settings"]["quick"])).bit_length() - 1

@@ -39,10 +39,12 @@ def place_rings(domain: Domain, views: list[LocalView], factor: float, ramp: flo
     """
     entries, factor = 0, min(factor, LARGEST)
     for view in views:
-        # the kernels use (1 + occlusion_fade)^4
+        # Kernels use the squared factor of wholly hidden ground. With less hidden the factor is
+        # (1 + occlusion_fade * hidden fraction)^4, which is `factor` at the fraction 1.
         view.hidden2, view.occlusion_fade, view.ramp = factor * factor, math.sqrt(math.sqrt(factor)) - 1, ramp
         first, count = _rings_of(domain, view)
         if KINDS[view.kind] != ORTHOGRAPHIC and count > 0:
+            # first: the nearest ring. at: the view's first entry in the maps of all views.
             view.rings.first, view.rings.count, view.rings.at = first, count, entries
             # by direction: the floor, below which a ray may pass below the mesh, then a slope for each ring
             entries += (count + 1) * int(ROW)

@@ -112,8 +112,9 @@ def route_flats(d: DrainageArrays, end: wp.int32):
 def cross_flats(d: DrainageArrays, pits: wp.array(dtype=wp.int32)):
     """Drain flats to their nearest outlet, serially; a flat without one drains to its first sample, a pit.
 
-    Overwrites `order`, the queue; the receivers of the samples that begin it have WAITING added until their turn. pits
-    [1] becomes the number of pits; the pits get the labels 2, 3 .. in the order of samples.
+    Overwrites `order`, the queue; the receivers of the samples that begin it have WAITING added until their turn.
+    pits[0] becomes the number of pits. They get the labels 2, 3 .. in the order of samples: 0 means "none yet", 1 an
+    outlet.
     """
     n = d.grid.width * d.grid.height
     end = wp.int32(0)

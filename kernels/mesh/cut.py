@@ -290,9 +290,10 @@ def renumber(
 ):
     """Replace the numbers of vertices and edges that were moved into gaps, in the listed triangles that remain.
 
-    One thread. vertices, edges: how many remain. moved_vertices, moved_edges: new numbers of the elements with the old
-    numbers `vertices`, `vertices` + 1 .. or `edges`, `edges` + 1 .. The ends of edges are renumbered in place: the
-    caller moves the edges and vertices themselves afterwards.
+    All triangles with such a vertex or edge are listed. A shared edge is visited twice, which changes nothing: new
+    numbers are smaller than `vertices`. One thread. vertices, edges: how many remain. moved_vertices, moved_edges: new
+    numbers of the elements with the old numbers `vertices`, `vertices` + 1 .. or `edges`, `edges` + 1 .. The ends of
+    edges are renumbered in place: the caller moves the edges and vertices themselves afterwards.
     """
     for i in range(m.counts[LISTED]):
         t = m.listed[i]

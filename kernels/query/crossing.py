@@ -188,12 +188,14 @@ def half_curvature_along(
     """Return an upper bound of half the second derivative of the surface along the ray in cell (i, j).
 
     Displacement is included. The unit is metres over squared metres along the ray. finer_twist: |h00 + h11 - h10 - h01|
-    of the finer cell that the ray is in, metres, scaled to a squared raster cell; negative without a finer cell.
+    of the cell of a finer tile that the ray is in, metres, scaled to a squared raster cell; negative outside of such
+    tiles.
     """
     cells2 = ray.du * ray.du + ray.dv * ray.dv
     curvature = wp.float64(0.0)
     if surface.bicubic == 1:
-        quarter_norm = cell_curvature(height_ranges, i, j)  # of the second derivatives, metres over squared cells
+        # A quarter of the norm of the bicubic surface's second derivatives, metres over squared cells.
+        quarter_norm = cell_curvature(height_ranges, i, j)
         curvature = wp.float64(2.0) * quarter_norm * cells2
         if finer_twist >= wp.float64(0.0):
             # The surface is bicubic plus the bilinear interpolation of differences at the finer cell's corners. Their

@@ -122,7 +122,7 @@ def _move_all(objects: list, grounds: list, depsgraph, frame_changes: bool) -> N
             moved.setdefault(obj, []).append(needed[obj][0])
         todo = [obj for obj in todo if obj not in held and len(moved.get(obj, ())) < MAX_MOVES]
         _evaluate([*now, *held], depsgraph, frame_changes)
-        if not now:  # the objects that are not in place follow each other
+        if not (now or held):  # the objects that are not in place follow each other
             break
 
 

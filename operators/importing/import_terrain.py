@@ -384,7 +384,8 @@ def _restore_store(obj) -> None:
     obj.adaptive_terrain.store = stored_path(_added[obj.session_uid])
     imported.tag_object(obj)
     with suppress(TerrainError):  # the panel says why
-        frame_terrain.frame_terrain(obj, bpy.context.evaluated_depsgraph_get(), [], always=False)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        frame_terrain.frame_terrain(obj, depsgraph, viewports=[], always=False)  # the camera's clip range alone
         if not obj.adaptive_terrain.live:
             session.update_object(obj)
 

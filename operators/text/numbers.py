@@ -37,10 +37,8 @@ def unit_text(unit: str) -> str:
 
 
 def number(value: float | None) -> str:
-    """Format for a table: three significant digits, no decimals from 100, and "" for None."""
-    if value is None:
-        return ""
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    """Format for a table as `plain` does, and None as ""."""
+    return "" if value is None else plain(value)
 
 
 def length_text(metres: float) -> str:

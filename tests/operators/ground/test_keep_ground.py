@@ -216,7 +216,18 @@ def test_a_constraint_that_holds_an_object_is_reported(askew, capfd):
     only(rock)
     keep()
     assert "a constraint holds it" in keep_ground.note_of(rock) and rock.delta_location.length == 0.0
-    assert "holds it" in keep_ground.note_of(rock)
+
+
+def test_an_object_that_follows_a_held_one_is_placed(askew):
+    rock, target = cube("Rock", (0.0, 0.0, 0.0)), added(bpy.data.objects.new("Target", None), (90.0, 0.0, -700.0))
+    rock.constraints.new("COPY_LOCATION").target = target
+    rider = cube("Rider", (10.0, 5.0, 0.0), parent=rock)
+    for obj in (rider, rock):
+        only(obj)
+        keep()
+    at = rider.matrix_world.translation
+    assert at.z == pytest.approx(Cast(askew).height(at), abs=NEAR)
+    assert "holds it" in keep_ground.note_of(rock) and not keep_ground.note_of(rider)
 
 
 def test_a_terrain_that_left_the_scene_is_named(askew):

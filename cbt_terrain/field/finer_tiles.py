@@ -183,7 +183,8 @@ def known_tiles(numbers: np.ndarray) -> list[tuple[int, int]]:
 def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:
     """Return shape and type of each array of the tiles of a bicubic surface (finer_bicubic.py), by name.
 
-    bits: a raster cell has 2^bits finer cells a side. tiles: their number.
+    bits: a raster cell has 2^bits finer cells a side. tiles: their number. finer_values_c has numbers of the whole
+    surface: exponent, base and step of codes, lowest and highest height, and `FinerTiles.off`.
     """
     shapes = array_shapes(lattice, bits, tiles)
     arrays = {f"{name}_c": shapes[name] for name in ("finer_heights", "finer_errors", "finer_ranges", "finer_limits")}

@@ -179,7 +179,8 @@ def _inflow(coarse: _Coarse, shape: tuple[int, int]) -> tuple[np.ndarray, np.nda
     enters = ~coarse.inside & (coarse.to != 4) & coarse.inside[y, x]
     enters &= ~coarse.wet | (coarse.flow[y, x] > coarse.flow)
     add(enters, y, x)
-    # Drainage area grows downstream; where it does not, the path of a lake's water is unknown and ends.
+    # Drainage area grows downstream. Where it does not, the way of a lake's water is unknown: the path ends there,
+    # as the sample becomes its own receiver.
     grows = coarse.flow[y, x] > coarse.flow
     y, x = (np.where(grows, n, itself) for n, itself in zip((y, x), np.indices(y.shape), strict=True))
     entry = _entries(coarse, y, x)

@@ -196,8 +196,9 @@ def _slide_snow(
     arguments.snow = flat(loose, wp.float32)
     for k in range(sweeps):
         odd = k % 2
-        # The order of slabs alternates, else those of one parity would give more than the others. The first half also
-        # settles pairs along the rows, first those whose western column has the parity of `west`.
+        # A slab that settles first gives more snow, so slabs that begin at even and at odd rows take turns in being
+        # first. The first half also settles pairs of neighbours along the rows: those that begin at columns of the
+        # parity `west`, and then the others.
         west = (odd + ground.first[1]) % 2
         for along, parity in ((1, odd), (0, 1 - odd)):  # along: 1 if pairs along the rows settle, too
             first = -((parity + ground.first[0]) % 2)  # -1 if only the second row of the first slab is in the raster

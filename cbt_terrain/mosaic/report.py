@@ -208,9 +208,10 @@ def _expected_bytes(composite: Composite) -> int:
 
 def _expected_seconds(composite: Composite) -> float:
     """Return the expected time of an import: that of measured windows, times the samples that each stands for."""
-    # With finer tiles, the plan has the samples of a raster without them that takes as long.
+    # plan.work: the number of samples of a raster without finer tiles that takes as long.
     samples = composite.grid.width * composite.grid.height if composite.finer is None else composite.finer[0].work
-    if composite.finer is not None and composite.finer[0].is_of_gaps:  # samples of files take nearly all of the time
+    if composite.finer is not None and composite.finer[0].is_of_gaps:
+        # Finer tiles because of wide gaps: nearly all time is for samples of files, so a window in a file is measured.
         plan, all_files = composite.finer
         largest = plan.boxes[np.argmax((plan.boxes[:, 2:] - plan.boxes[:, :2]).prod(axis=1))]
         seconds = _seconds_at(all_files, *(largest[:2] + largest[2:]) / 2)

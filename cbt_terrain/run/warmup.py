@@ -213,7 +213,7 @@ def wait(overlay: bool = False) -> None:
             # The first group is that of a frame, the last one that of the overlay; `prepare_modules` has a single one.
             ready = preparation.ready[-1 if overlay else 0]
             while not ready.wait(POLL_SECONDS):
-                stopping.check()
+                stopping.check()  # raises an exception if the user ends the program or cancels this work
             if preparation.stopping.is_set():
                 raise TerrainError(
                     "The extension was switched off while its kernels were being prepared", fix="switch it on"

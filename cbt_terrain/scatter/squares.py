@@ -90,10 +90,12 @@ def squares_in_view(
         density_range = np.empty((len(numbers), 2))
         packed = _pack_squares(field, west, south, side * 2.0**-halvings)
         arrays = [shared(numbers, wp.vec2i), wp.array(density_range, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]
+        # Writes an upper and a lower bound of the density in each square, 0 .. 1; 0 outside of all frames.
         inputs = [domain, views, packed, wp.float64(east), wp.float64(north), *arrays]
         launch.spread(kernels.density_range, len(numbers), inputs, step="squares", threads=threads, cost=10.0)
         high, low = density_range.T
-        # Points have a size above 0 where (rank + 1/2) / POINTS < GROWING * density; 1e-6 covers rounding.
+        # Points have ranks: the lowest ones stay where the density is low. A point has a size above 0 where
+        # (rank + 1/2) / POINTS < GROWING * density; 1e-6 covers rounding.
         limit = high * max_density * (float(GROWING) * (1 + 1e-6))
         ranks = np.minimum(np.ceil(limit * POINTS - 0.5), POINTS).astype(np.int64)  # those below the limit
         divided = ranks > 0  # squares without points are dropped
@@ -104,7 +106,8 @@ def squares_in_view(
             count = tile().count(halvings, windows, ranks)  # points of the square that have these ranks
             divided &= (count > FEW) & (high > EVEN * low) & (halvings < FINEST)
             final = ~divided & (count > 0)
-            final_squares.append((depth[final], numbers[final], count[final], low[final] > 0))  # the last: clear
+            clear = low[final] > 0  # completely inside a frame
+            final_squares.append((depth[final], numbers[final], count[final], clear))
         if divided.sum() > MAX_DIVIDED:
             raise too_many_error(f"more than {MAX_CANDIDATES:,}")
         numbers = (2 * numbers[divided][:, None] + QUARTERS).reshape(-1, 2)

@@ -85,8 +85,8 @@ def spans_of(criterion: Criterion, views: Sequence[View], placement: np.ndarray,
 
     A view's scale is the largest length that a metre of height may have on screen, metres across the view at a depth of
     1 m: its largest slant times its widening, the factor by which an error towards the camera looks larger. With limits
-    of edges or areas scales are raised until all views have the same one for edges. plan: lengths on the ground that
-    these limits depend on.
+    of edges or areas some scales are raised: divided by `secant_of` their view, all become equal, since edges have one
+    limit for all views. plan: lengths on the ground that these limits depend on.
     """
     slants = [slants_of(view, placement, criterion) for view in views]
     wholes = [whole_of(view, placement, smallest) for view, (_, smallest) in zip(views, slants, strict=True)]

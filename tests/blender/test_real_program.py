@@ -186,7 +186,9 @@ def test_clicks_on_the_panel(program, tmp_path):
 def test_the_view_is_followed_after_any_render(program, tmp_path):
     """A render that begins while a header is drawn leaves Blender's flag against writing set: see bridge/writing.py."""
     report = run_in_window(program, "forbidden_writing.py", tmp_path)
-    assert report["writes"] == [True, False, True], "other timers can write no more, ours can"
+    if report["version"] < "5":  # seen to be mended in 5.2.2
+        assert report["writes"][1] is False, "other timers can write no more"
+    assert report["writes"][0] and report["writes"][2], "ours can"
     assert report["after"] > report["before"] > 0
     first, second = report["rendered"]
     assert first == second != report["after"], "a later render refines for its camera, too"

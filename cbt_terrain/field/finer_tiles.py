@@ -168,16 +168,21 @@ def tile_shape(lattice: Lattice, bits: int) -> tuple[int, int]:
     return rows, columns
 
 
-def known_tiles(numbers: np.ndarray) -> list[tuple[int, int]]:
-    """Return columns and rows of the tiles of a table whose neighbours, as far as it reaches, are tiles of it too.
+def has_known(numbers: np.ndarray) -> np.ndarray:
+    """Return which tiles of a table have known finer heights: bool of the shape of `numbers` (`FinerTiles.numbers`).
 
-    Finer heights are known in these alone. They and the tiles around them are all tiles of the table. numbers:
-    `FinerTiles.numbers`.
+    The neighbours of such a tile, as far as the table reaches, are tiles of it too. The tiles with known heights and
+    those around them are all tiles of the table.
     """
     rows, columns = numbers.shape
     is_tile = np.pad(numbers >= 0, 1, constant_values=True)
     neighbours = [is_tile[down : down + rows, across : across + columns] for down in range(3) for across in range(3)]
-    return [(int(column), int(row)) for row, column in np.argwhere(np.logical_and.reduce(neighbours))]
+    return np.logical_and.reduce(neighbours)
+
+
+def known_tiles(numbers: np.ndarray) -> list[tuple[int, int]]:
+    """Return columns and rows of the tiles of a table that have known finer heights (`has_known`)."""
+    return [(int(column), int(row)) for row, column in np.argwhere(has_known(numbers))]
 
 
 def bicubic_shapes(lattice: Lattice, bits: int, tiles: int) -> dict[str, tuple[tuple[int, ...], type]]:

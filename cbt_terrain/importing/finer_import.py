@@ -35,6 +35,7 @@ from ..field.finer_heights import (
 )
 from ..field.finer_tiles import SIDE, FinerTiles, tile_shape
 from ..field.heightfield import HeightField
+from ..field.known_ground import ground_fraction, known_tiles_of
 from ..field.lattice import TileBox
 from ..field.store import Draft, open_store
 from ..rasters.raster import FinerSource
@@ -325,9 +326,14 @@ class _Windows:
 
 
 def finer_entries(field: HeightField) -> dict:
-    """Return the report entries about finer tiles; {} without any."""
+    """Return the report entries about finer tiles; {} without any.
+
+    `ground_percent` is the part of a mosaic with wide gaps that has ground.
+    """
     finer, lattice = field.raster.finer, field.lattice
     if finer is None:
         return {}
     steps = [step / (1 << finer.bits) for step in (lattice.step_x, lattice.step_y)]
-    return {"finer_tiles": len(finer.heights), "finer_step_m": steps}
+    fraction = ground_fraction(field) if known_tiles_of(field) is not None else None
+    ground = {} if fraction is None else {"ground_percent": float(f"{100.0 * fraction:.4g}")}
+    return {"finer_tiles": len(finer.heights), "finer_step_m": steps} | ground

@@ -27,6 +27,7 @@ from ..field import displacement_layers
 from ..field.domain import box_of, make_domain
 from ..field.georeference import from_crs
 from ..field.heightfield import HeightField
+from ..field.known_ground import KnownTiles, known_samples, known_tiles_of
 from ..mesh.outline import counter_clockwise, covered
 from ..plain_numbers import vertical
 from ..run import launch
@@ -68,6 +69,7 @@ class ScatterGround:
 
     `scale`: vertical scale and offset. `boundary`: see ScatterRequest. `box`: of the terrain, float64 [2, 3] metres.
     `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row of the raster.
+    `with_ground`: tiles of a mosaic with wide gaps that hold all its ground; None for other fields.
     """
 
     field: HeightField
@@ -81,18 +83,21 @@ class ScatterGround:
     pattern: Pattern
     tiles: int
     style: kernels.ScatterStyle
+    with_ground: KnownTiles | None = None
     candidates: Candidates = dataclasses.field(default_factory=Candidates)
 
     @classmethod
     def of(cls, field: HeightField, request: ScatterRequest) -> "ScatterGround":
         """Return the ground that fits a ScatterRequest on this field; its cache of candidates is empty."""
         scale = vertical(request.vertical_scale, request.vertical_offset)
-        valid = np.empty(0, np.uint8) if field.valid is None else field.valid
+        valid = known_samples(field)
+        valid = np.empty(0, np.uint8) if valid is None else valid
         box, domain = box_of(field, *scale), make_domain(field, 0, *scale)  # 0: no meshlets
         detail = displacement_layers.pack_layers(field.detail, field.finest_edge, field.lattice)
         pattern, tiles = _pattern(field, request.scatter)
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, pattern, tiles)
-        return cls(field, request.scatter, scale, request.boundary, box, domain, detail, flags, pattern, tiles, style)
+        placed = box, domain, detail, flags, pattern, tiles, style, known_tiles_of(field)
+        return cls(field, request.scatter, scale, request.boundary, *placed)
 
     def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
         """Return whether this ground fits a ScatterRequest on this field, so that its candidates can be reused."""

@@ -110,7 +110,7 @@ def _points(
     seen, pattern, scatter = _pack_views(request, views, ground), ground.pattern, request.scatter
     tiling = pattern.west, pattern.south, pattern.side, scatter.seed
     max_density = min(scatter.where.strength, 1.0)  # rules only lower it
-    squares = squares_in_view(ground.field, ground.domain, seen, *tiling, max_density, threads)
+    squares = squares_in_view(ground.field, ground.domain, seen, *tiling, max_density, threads, ground.with_ground)
     runs, tested = ground.runs(squares, len(views), threads), int(squares.count.sum())
     listed, candidates = pack_runs(runs), ground.candidates.packed()
     chosen = kernels.Chosen()

@@ -20,6 +20,7 @@ from ...kernels.scatter.seen import Views
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
 from ..field.hierarchy import ranges_at
+from ..field.known_ground import KnownTiles
 from ..run import launch
 from ..run.buffers import shared
 from .tile import FINEST, POINTS, shifts, tile
@@ -70,12 +71,13 @@ def squares_in_view(
     seed: int,
     max_density: float,
     threads: int,
+    tiles_with_ground: KnownTiles | None = None,
 ) -> Squares:
     """Return the squares of the plan that views may show, for tiles of `side` metres.
 
     The south-western corner of tile (0, 0) is at `west`, `south`. seed: selects each tile's shift of the pattern.
-    max_density: of the points, 0 .. 1, as a fraction of those of a tile. Raises TerrainError for more than
-    MAX_CANDIDATES points.
+    max_density: of the points, 0 .. 1, as a fraction of those of a tile. tiles_with_ground: tiles that
+    hold all points; None if these may be anywhere. Raises TerrainError for more than MAX_CANDIDATES points.
     """
     raster_west, raster_south, east, north = field.lattice.rectangle()
     # The raster's corners in tiles from the corner of tile (0, 0).
@@ -87,6 +89,9 @@ def squares_in_view(
     # Squares of this size to look at; fields of `Squares`.
     numbers, final_squares = np.stack(roots, axis=-1).reshape(-1, 2), []
     while len(numbers):
+        if tiles_with_ground is not None:
+            low_corners = numbers * (side * 2.0**-halvings) + (west - raster_west, south - raster_south)
+            numbers = numbers[tiles_with_ground.meets(low_corners, low_corners + side * 2.0**-halvings)]
         density_range = np.empty((len(numbers), 2))
         packed = _pack_squares(field, west, south, side * 2.0**-halvings)
         arrays = [shared(numbers, wp.vec2i), wp.array(density_range, dtype=wp.vec2d, device=launch.DEVICE, copy=False)]

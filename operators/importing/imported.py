@@ -3,6 +3,7 @@
 
 import dataclasses
 import functools
+import math
 import os
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -40,7 +41,13 @@ class Imported:
     warnings: tuple[str, ...] = ()
     place: Place | None = None  # affine map from metres about the middle to the CRS, None if unknown
     filled: int = 0  # samples without data whose heights were interpolated
+    ground_fraction: float = 1.0  # of the raster, without holes and wide gaps
     is_shaped: bool = False  # a stack of land effects has made the heights
+
+    @property
+    def ground_m2(self) -> float:
+        """Return the area of the land without holes and wide gaps, square metres."""
+        return math.prod(self.extent_m) * self.ground_fraction
 
 
 def imported_of(settings) -> Imported | None:
@@ -82,6 +89,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
         filled=_count(report, "filled"),
+        ground_fraction=_ground_fraction(report, math.prod(raster)),
         is_shaped="shaped" in content["provenance"],
     )
 
@@ -97,6 +105,13 @@ def _count(report: dict, name: str) -> int:
     """Return the count `name` of an unchecked report; 0 unless it is a positive int below 2**63."""
     value = report.get(name)
     return value if type(value) is int and 0 < value < 2**63 else 0
+
+
+def _ground_fraction(report: dict, samples: float) -> float:
+    """Return the fraction of the raster that has ground, by an unchecked report; 1 unless it is above 0 and below 1."""
+    percent, cut_out = report.get("ground_percent"), _count(report, "cut_out")
+    fraction = 1.0 - cut_out / samples if cut_out else percent / 100.0 if type(percent) is float else 1.0
+    return fraction if 0.0 < fraction < 1.0 else 1.0
 
 
 def filled_note(imported: Imported) -> str:

@@ -6,11 +6,12 @@ import math
 import numpy as np
 from mathutils import Matrix
 
+from ...cbt_terrain.field.heightfield import HeightField
 from ..importing.imported import imported_of
 from .habitats import has_habitat
 
 # Spacings in a terrain's longer side before a collection is chosen: 40,000 points on a square one, twice as many at
-# most, as spacings have one digit.
+# most, as spacings have one digit. Ground with gaps or holes gets as many in all.
 PER_SIDE = 200
 # Points on a whole land at full density, at most: 1.5 GB of instances where no camera limits them.
 MAX_ON_LAND = 1_000_000
@@ -64,13 +65,21 @@ def scale_of(terrain) -> float:
     return math.sqrt(abs(x * y)) or 1.0
 
 
+def first_spacing(field: HeightField) -> float:
+    """Return the spacing of a scatter before a collection is chosen, metres of the terrain's space."""
+    from ...cbt_terrain.field.known_ground import ground_fraction
+
+    west, south, east, north = field.lattice.rectangle()
+    return rounded(max(east - west, north - south) * math.sqrt(ground_fraction(field)) / PER_SIDE)
+
+
 def count_on_land(terrain, spacing: float) -> int | None:
     """Return the number of points at full density on all the land of a terrain, without rules; None without a store.
 
-    spacing: metres of the terrain's space.
+    spacing: metres of the terrain's space. Holes and wide gaps do not count.
     """
     found = imported_of(terrain.adaptive_terrain)
-    return None if found is None else round(math.prod(found.extent_m) / spacing**2)
+    return None if found is None else round(found.ground_m2 / spacing**2)
 
 
 def fit(obj) -> None:
@@ -90,7 +99,7 @@ def fit(obj) -> None:
     # in spacings, from which points are left out.
     factor, full = (math.sqrt(SHARE_BY_RULES), FULL_WITH_RULES) if is_ruled else (1.0, FULL_OF_OBJECTS)
     # smallest: spacing at which all the land has MAX_ON_LAND points
-    smallest = 0.0 if raster is None else scale * math.sqrt(math.prod(raster.extent_m) / MAX_ON_LAND)
+    smallest = 0.0 if raster is None else scale * math.sqrt(raster.ground_m2 / MAX_ON_LAND)
     spacing = rounded(max(width, factor * smallest), digits=2, toward=math.ceil)
     # The setting of the spacing counts in the terrain's own metres, distances from the camera in those of the world.
     # reach: how far an object and its shadow extend from its point, metres of the world

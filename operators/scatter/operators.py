@@ -11,7 +11,7 @@ from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from . import starter
 from .dry_ground import keep_dry
-from .fitting import FULL_OF_CONES, PER_SIDE, REACH_HEIGHTS, put_numbers, rounded, scale_of
+from .fitting import FULL_OF_CONES, REACH_HEIGHTS, first_spacing, put_numbers, scale_of
 from .instancing import add_modifier, collection_of
 from .request import is_scatter, scatters_of
 
@@ -48,9 +48,7 @@ class AddScatter(TerrainObjectOperator, bpy.types.Operator):
         waits: update the terrain now, so that the points are there; otherwise the live update makes them.
         """
         terrain = context.object
-        west, south, east, north = session.open_field(store_path(terrain)).lattice.rectangle()
-        spacing = rounded(max(east - west, north - south) / PER_SIDE)
-        obj = new_scatter(terrain, spacing)
+        obj = new_scatter(terrain, first_spacing(session.open_field(store_path(terrain))))
         note = keep_dry(obj.adaptive_scatter, terrain)
         if self.kind != CONES:
             starter.put_kind(context, obj, self.kind)

@@ -136,9 +136,9 @@ class SetUpScene(bpy.types.Operator):
         if self.view == CURRENT and self.viewed is not None:
             to_world, built_camera.data.lens = self.viewed
         else:
-            to_world = viewpoint.view_across(obj)
-            if viewport is not None:  # it then orbits about a point half a terrain ahead
-                viewpoint.look_from(viewport[-1], to_world, distance=0.5 * sight.diagonal(sight.box_of(obj)))
+            to_world, distance = viewpoint.view_across(obj)
+            if viewport is not None:
+                viewpoint.look_from(viewport[-1], to_world, distance)
         built_camera.matrix_world = to_world
         built_camera.data.clip_start, built_camera.data.clip_end = viewpoint.clip_range(obj, to_world.translation)
         leave_map(scene)  # a map camera has changed the size of the picture

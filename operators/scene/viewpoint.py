@@ -5,15 +5,20 @@ A viewport that looks through the camera of Set Up Scene stays where it is if Un
 """
 
 import math
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 from mathutils import Matrix, Vector
 
+from ...cbt_terrain.field.heightfield import HeightField
 from ..land import shaped_land
 from ..terrain import frame_terrain, sight
 from .built import CAMERA, find_built
+
+if TYPE_CHECKING:
+    from ...cbt_terrain.query.largest_part import PartSamples
 
 SAMPLES = 129  # a side, of the heights that decide the view across
 # Eyes that are compared for the view across: number a side, the fraction of the sides over which they are spread, and
@@ -94,65 +99,64 @@ def on_undo_post(scene, _unused=None) -> None:
             region_3d.view_perspective = "PERSP"
 
 
-def view_across(obj) -> Matrix:
+def view_across(obj) -> tuple[Matrix, float]:
     """Return the matrix to the world of a camera over a terrain in the view that shows most kinds of ground.
 
-    Raises TerrainError without a store.
+    It is over the largest part of the ground, if holes or wide gaps divide it. Also return half the length of that
+    part, metres in the world: the distance of the point about which a viewport turns. Raises TerrainError without a
+    store.
     """
-    settings = obj.adaptive_terrain
-    x, y, z, water_level = _heights(obj)
+    settings, field = obj.adaptive_terrain, shaped_land.field_of(obj)
+    part, water_level = _ground_of(field)
     scale, offset = settings.vertical_scale, settings.vertical_offset
-    z, water_level = z * scale + offset, water_level * scale + offset
-    eye, azimuth = _best_view(x, y, z, water_level)
+    part = part._replace(heights=part.heights * scale + offset)
+    eye, azimuth = _best_view(part, water_level * scale + offset)
     ahead = Vector((math.sin(azimuth), math.cos(azimuth), math.tan(PITCH)))
     to_world = obj.matrix_world
     turn = (to_world.to_3x3() @ -ahead).to_track_quat("Z", "Y").to_matrix().to_4x4()
-    return Matrix.Translation(to_world @ Vector(eye)) @ turn
+    west, south, east, north = field.lattice.rectangle()
+    fraction = math.hypot(np.ptp(part.x), np.ptp(part.y)) / math.hypot(east - west, north - south)
+    distance = 0.5 * sight.diagonal(sight.box_of(obj)) * fraction
+    return Matrix.Translation(to_world @ Vector(eye)) @ turn, distance
 
 
-def _heights(obj) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Return samples of a terrain in its own space, x [n], y [m] and height [m, n], and the level of water.
+def _ground_of(field: HeightField) -> tuple["PartSamples", float]:
+    """Return samples of a terrain's largest part in its own space, and the level of water.
 
     Ground up to this level counts as water that a view should show: the sea, or inland the lowest part (INLAND). Metres
     of the height map, without vertical scale and offset. Holes have the lowest height; a sea is flat at 0.
     """
-    field = shaped_land.field_of(obj)
-    lattice = field.lattice
-    columns = np.unique(np.linspace(0, lattice.width - 1, SAMPLES).round().astype(int))
-    rows = np.unique(np.linspace(0, lattice.height - 1, SAMPLES).round().astype(int))
-    heights = field.heights(*np.ix_(rows, columns)).astype(np.float64)
-    known = heights[np.isfinite(heights)]
+    from ...cbt_terrain.query.largest_part import sample_largest_part
+
+    part = sample_largest_part(field, SAMPLES)
+    is_ground = part.is_ground & np.isfinite(part.heights)
+    known = part.heights[is_ground]
     is_coast = (known <= 0.0).mean() >= MIN_SEA
     water_level = 0.0 if is_coast else float(np.quantile(known, INLAND))
-    heights = np.where(np.isfinite(heights), heights, known.min())
-    x = (columns - (lattice.width - 1) / 2) * lattice.step_x - lattice.anchor_x
-    y = (rows - (lattice.height - 1) / 2) * lattice.step_y - lattice.anchor_y
-    return x, y, np.maximum(heights, water_level) if is_coast else heights, water_level
+    heights = np.where(is_ground, part.heights, known.min())
+    heights = np.maximum(heights, water_level) if is_coast else heights
+    return part._replace(heights=heights, is_ground=is_ground), water_level
 
 
-def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) -> tuple[tuple, float]:
+def _best_view(part: "PartSamples", water_level: float) -> tuple[tuple, float]:
     """Return the eye and the azimuth, clockwise from +Y in radians, of the view that shows most kinds of ground.
 
-    x [n], y [m]: positions of the heights z [m, n], metres. water_level: height up to which ground counts as water.
-    The eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
+    part: has the lowest height where there is no ground. water_level: height up to which ground counts as water. The
+    eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
     after a mean. RAYS: angles from the azimuth; DISTANCES: of a ray's samples, in shorter sides of the terrain; BOTTOM:
     rise over distance at the frame's lower edge. A score is the sum of the seen kinds, 1 each at most, less the faults
     of the skyline and the border.
     """
-    side, bottom, relief = min(np.ptp(x), np.ptp(y)), float(z.min()), float(np.ptp(z)) or 1.0
+    x, y, z, is_ground = part
+    bottom, relief = float(z.min()), float(np.ptp(z)) or 1.0
+    # The side of ground without gaps: a narrow valley across a large rectangle is seen from near.
+    side = min(np.ptp(x), np.ptp(y)) * math.sqrt(is_ground.mean())
     slope = np.hypot(*np.gradient(z, y, x))
     is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > water_level)
+    is_low = (z <= water_level) & is_ground
 
-    def nearest(coordinates: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        """Return the numbers of the samples of `axis`, x or y, nearest to some coordinates."""
-        return np.rint((coordinates - axis[0]) / (axis[-1] - axis[0]) * (len(axis) - 1)).astype(int)
-
-    # Eyes: on a grid over the terrain, each above the highest of nine samples around it.
-    spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
-    eyes_along = ((axis[0] + axis[-1]) / 2 + spread * np.ptp(axis) for axis in (x, y))
-    eye_x, eye_y = (grid.ravel() for grid in np.meshgrid(*eyes_along))
-    around = [(i, j) for i in (-NEAR, 0.0, NEAR) for j in (-NEAR, 0.0, NEAR)]
-    ground = np.max([z[nearest(eye_y + j * side, y), nearest(eye_x + i * side, x)] for i, j in around], axis=0)
+    eye_x, eye_y = _eyes(part, NEAR * side)
+    ground = np.max(_nine_around(part, z, eye_x, eye_y, NEAR * side), axis=0)
     eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
     best, found = -math.inf, None
     for azimuth in np.arange(VIEWS) * (math.tau / VIEWS):
@@ -162,13 +166,14 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
         at_x = eye_x[:, None, None] + np.sin(angles)[:, None] * away
         at_y = eye_y[:, None, None] + np.cos(angles)[:, None] * away
         inside = (x[0] <= at_x) & (at_x <= x[-1]) & (y[0] <= at_y) & (at_y <= y[-1])
-        row, column = nearest(np.clip(at_y, y[0], y[-1]), y), nearest(np.clip(at_x, x[0], x[-1]), x)
+        row, column = _nearest(at_y, y), _nearest(at_x, x)
+        inside = np.logical_and.accumulate(inside & is_ground[row, column], axis=-1)  # up to the first gap
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
         horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
         shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
         # Parts of the score: the height in the frame that each kind of ground fills, in the mean of the rays.
-        flat, gentle = z[row, column] <= water_level, is_gentle[row, column]
-        low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in (flat, gentle))
+        kinds = is_low[row, column], is_gentle[row, column]
+        low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in kinds)
         skyline = horizon[..., -1].std(axis=-1)  # an uneven skyline counts as a kind of ground
         last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
         # The border of the terrain is seen where a ray's last sample is below the eye and not hidden.
@@ -182,6 +187,38 @@ def _best_view(x: np.ndarray, y: np.ndarray, z: np.ndarray, water_level: float) 
             best, number = float(score.max()), int(score.argmax())
             found = (float(eye_x[number]), float(eye_y[number]), float(eye_z[number])), float(azimuth)
     return found
+
+
+def _eyes(part: "PartSamples", near: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of the eyes that are compared, metres in the terrain's space.
+
+    They are a grid over a terrain without gaps. Otherwise they are samples of ground with ground around them as far as
+    `near`, metres, or where there is none, any samples of ground.
+    """
+    x, y, _, is_ground = part
+    if is_ground.all():
+        spread = np.linspace(-SPREAD / 2, SPREAD / 2, EYES)
+        along = ((axis[0] + axis[-1]) / 2 + spread * np.ptp(axis) for axis in (x, y))
+        return tuple(grid.ravel() for grid in np.meshgrid(*along))
+    rows, columns = np.nonzero(is_ground)
+    is_inner = np.all(_nine_around(part, is_ground, x[columns], y[rows], near), axis=0)
+    inner = np.flatnonzero(is_inner) if is_inner.any() else np.arange(len(rows))
+    inner = inner[np.unique(np.linspace(0, len(inner) - 1, EYES * EYES).round().astype(int))]
+    return x[columns[inner]], y[rows[inner]]
+
+
+def _nine_around(
+    part: "PartSamples", values: np.ndarray, eye_x: np.ndarray, eye_y: np.ndarray, near: float
+) -> list[np.ndarray]:
+    """Return the values, of an array [m, n] over the part, of nine samples around each eye, `near` metres apart."""
+    offsets = [(i, j) for i in (-near, 0.0, near) for j in (-near, 0.0, near)]
+    return [values[_nearest(eye_y + j, part.y), _nearest(eye_x + i, part.x)] for i, j in offsets]
+
+
+def _nearest(coordinates: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Return the numbers of the samples of `axis`, x or y of a part, nearest to some coordinates."""
+    inside = np.clip(coordinates, axis[0], axis[-1])
+    return np.rint((inside - axis[0]) / (axis[-1] - axis[0]) * (len(axis) - 1)).astype(int)
 
 
 def clip_range(obj, eye: Vector) -> tuple[float, float]:

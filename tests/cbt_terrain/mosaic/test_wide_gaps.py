@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field.known_ground import ground_fraction
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
@@ -16,7 +17,11 @@ from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.target_grid import TargetGrid
 from adaptive_terrain.cbt_terrain.query.ground import ground_at
+from adaptive_terrain.cbt_terrain.query.largest_part import sample_largest_part
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
+from adaptive_terrain.cbt_terrain.scatter import squares
+from adaptive_terrain.cbt_terrain.scatter.points import scatter_points
+from adaptive_terrain.cbt_terrain.scatter.scatter import Scatter
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
@@ -119,6 +124,58 @@ def test_a_mesh_of_an_island_keeps_its_bound(islands, name):
     assert_invariants(update.surface, field.lattice)
     off = mesh_heights(update.surface, places) - sheets[name].at(UTM32, x, y)
     assert np.abs(off).max() <= update.bound_m + field.source_max <= 0.26
+
+
+def files_at(field, sheets, positions, margin):
+    """Return the name of the file within `margin` metres of each position of the terrain's space, "" for none."""
+    a, _, c, _, e, f = field.raster.place
+    x, y = a * positions[:, 0] + c, e * positions[:, 1] + f
+    names = np.full(len(positions), "", "U1")
+    for name, one in sheets.items():
+        width, height = WIDE * STEP, HIGH * STEP
+        is_there = (x > one.west - margin) & (x < one.west + width + margin)
+        names[is_there & (y < one.north + margin) & (y > one.north - height - margin)] = name
+    return names
+
+
+def test_the_largest_part_of_islands_is_one_of_them(islands):
+    sheets, folder, report = islands
+    field = open_store(folder / "store")
+    assert report["ground_percent"] == pytest.approx(100.0 * ground_fraction(field), rel=1e-3)
+    files = 2 * WIDE * HIGH * STEP**2  # square metres
+    assert ground_fraction(field) * np.prod(report["extent_m"]) == pytest.approx(files, rel=0.15)
+    part = sample_largest_part(field, 65)
+    positions = np.stack(np.meshgrid(part.x, part.y), axis=-1).reshape(-1, 2)
+    names, inside = files_at(field, sheets, positions, 1024.0), files_at(field, sheets, positions, -2 * STEP)
+    assert len(set(names)) == 1 and names[0] in sheets  # within two tiles of one file
+    known, one = inside != "", sheets[names[0]]
+    assert known.sum() > 200 and part.is_ground.ravel()[known].all()
+    a, _, c, _, e, f = field.raster.place
+    expected = one.at(UTM32, *(positions[known] * (a, e) + (c, f)).T)
+    assert np.abs(part.heights.ravel()[known] - expected).max() <= field.source_max + 1e-3
+
+
+def test_scattered_points_are_near_files_only(islands, monkeypatch):
+    """No square of the gap is divided, so that points are not too many."""
+    sheets, folder, _ = islands
+    field = open_store(folder / "store")
+    monkeypatch.setattr(squares, "MAX_CANDIDATES", 1 << 16)  # the rectangle has 1.1 million points
+    points = scatter_points(field, Scatter(spacing=10.0))
+    names = files_at(field, sheets, points.positions[:, :2].astype(np.float64), 1024.0)
+    assert (names != "").all() and set(names) == set(sheets)
+    inside = files_at(field, sheets, points.positions[:, :2].astype(np.float64), 0.0) != ""
+    assert inside.sum() == pytest.approx(2 * WIDE * HIGH * STEP**2 / 100.0, rel=0.02)
+
+
+def test_a_city_in_a_country_has_no_gap(islands, small, tmp_path):
+    """Finer tiles alone are no gap, and the points of a scatter are everywhere."""
+    sheet(UTM32, EAST, NORTH, 32.0, 32.0, 120, 120).write(tmp_path / "files" / "a.tif")
+    sheet(UTM32, EAST + 1600.0, NORTH - 1600.0, STEP, STEP, WIDE, HIGH).write(tmp_path / "files" / "b.tif")
+    report = run_mosaic_import(ImportSettings(str(tmp_path / "files")), tmp_path / "store")
+    field = open_store(tmp_path / "store")
+    assert field.raster.finer is not None and "ground_percent" not in report
+    assert ground_fraction(field) == 1.0 and sample_largest_part(field, 33).is_ground.all()
+    assert len(scatter_points(field, Scatter(spacing=50.0))) == pytest.approx((119 * 32 / 50) ** 2, rel=0.03)
 
 
 def test_a_file_in_the_gap_gives_a_complete_imports_bytes(islands, small, tmp_path):

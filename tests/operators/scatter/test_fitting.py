@@ -7,12 +7,16 @@ from unittest.mock import MagicMock
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.scatter import fitting
 from adaptive_terrain.operators.scatter.instancing import MODIFIER, collection_of, set_collection
 from adaptive_terrain.operators.scatter.operators import on_load
 from adaptive_terrain.operators.scatter.panel import ScatterPanel, size_lines
 from adaptive_terrain.operators.session import session
 from mathutils import Euler
+from rasterio import Affine
+from rasters import write_raster
 
 LAND_M = 1280.0  # side of the fixture's land
 
@@ -73,6 +77,21 @@ def test_the_land_limits_the_number_of_instances(scatter, terrain, monkeypatch):
         "Up to 0.5 m wide, 0.4 m high",
         f"{count:,} on all the land",
     ]
+
+
+def test_holes_do_not_count_as_land(terrain, tmp_path):
+    """A new scatter of a small island in a large hole has as many points as one of land without holes."""
+    row, column = np.mgrid[0:401, 0:401]
+    island = (abs(row - 300) <= 20) & (abs(column - 50) <= 20)
+    raster = np.where(island, np.float32(5.0), np.float32(np.nan))
+    write_raster(tmp_path / "land.tif", raster, transform=Affine(10.0, 0.0, 0.0, 0.0, -10.0, 4010.0), nodata=np.nan)
+    run_import(ImportSettings(str(tmp_path / "land.tif"), holes=True), tmp_path / "store")
+    terrain.adaptive_terrain.store = str(tmp_path / "store")
+    assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
+    spacing = bpy.context.object.adaptive_scatter.spacing
+    assert 30_000 < (400.0 / spacing) ** 2 < 80_000
+    area = 41 * 41 / 401**2 * 4000.0**2  # of the island, in cells of samples
+    assert fitting.count_on_land(terrain, 2.0) == pytest.approx(area / 4.0, abs=1.0)
 
 
 @pytest.mark.parametrize("things", [(), ("EMPTY",), ("LIGHT",)])

@@ -7,6 +7,9 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.query.largest_part import PartSamples
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.bridge.camera import view_from_camera
 from adaptive_terrain.operators.layers.properties import add_default_layers
 from adaptive_terrain.operators.scene import defaults, viewpoint
@@ -14,6 +17,8 @@ from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
 from adaptive_terrain.operators.terrain import sight
 from mathutils import Matrix
+from rasterio import Affine
+from rasters import write_raster
 from rendered_pictures import pixels_of
 
 SET_UP = bpy.ops.adaptive_terrain
@@ -268,15 +273,44 @@ def test_the_view_across_shows_water_and_hides_the_border():
     east_m, north_m = np.meshgrid(x, x)
     rim = np.minimum(np.hypot(east_m, np.maximum(north_m, 0.0)) / 5000.0, 1.0) ** 3
     z = np.where(np.hypot(east_m - 800.0, north_m) < 1200.0, 90.0, 100.0 + 1500.0 * rim)
-    (east, north, height), azimuth = viewpoint._best_view(x, x, z, 90.0)
+    part = PartSamples(x, x, z, np.ones(z.shape, bool))
+    (east, north, height), azimuth = viewpoint._best_view(part, 90.0)
     ahead = np.array([math.sin(azimuth), math.cos(azimuth)])
 
     to_lake = np.array([800.0 - east, -north])
     assert ahead @ to_lake / np.linalg.norm(to_lake) > math.cos(math.radians(30.0))
     assert ahead[1] > -0.5, "it does not look out of the open side"
     assert 90.0 < height < 1200.0
-    moved, turned = viewpoint._best_view(x + 16384.0, x - 8192.0, z, 90.0)  # with the anchor elsewhere
+    moved, turned = viewpoint._best_view(part._replace(x=x + 16384.0, y=x - 8192.0), 90.0)  # with the anchor elsewhere
     assert moved == (east + 16384.0, north - 8192.0, height) and turned == azimuth
+
+
+@pytest.mark.parametrize("gap", ["island", "valley", "lake"])
+def test_the_view_across_stands_on_ground(factory, add_terrain, tmp_path, gap):
+    """It does with a small island in a large hole, a narrow valley along a diagonal, and a large hole in the middle."""
+    heights = 40.0 * np.sin(np.mgrid[0:401, 0:401][1] / 9.0) + 50.0
+    row, column = np.mgrid[0:401, 0:401]
+    is_ground = {
+        "island": (abs(row - 330) < 30) & (abs(column - 60) < 40),
+        "valley": abs(row - column - 20) < 12,
+        "lake": np.hypot(row - 200, column - 200) > 120,
+    }[gap]
+    raster = np.where(is_ground, heights, np.nan).astype(np.float32)
+    write_raster(
+        tmp_path / "land.tif", raster[::-1], transform=Affine(10.0, 0.0, 0.0, 0.0, -10.0, 4010.0), nodata=np.nan
+    )
+    run_import(ImportSettings(str(tmp_path / "land.tif"), holes=True), tmp_path / "store")
+    terrain = add_terrain()
+    terrain.adaptive_terrain.store = str(tmp_path / "store")
+    to_world, distance = viewpoint.view_across(terrain)
+    eye, ahead = np.array(to_world.translation), -np.array(to_world.col[2].xyz)
+    along = eye[:2] + np.linspace(0.0, 300.0, 31)[:, None] * ahead[:2]  # metres from the eye
+    at = np.rint(along / 10.0 + 200.0).astype(int)
+    inside = (at >= 0).all(axis=1) & (at <= 400).all(axis=1)
+    seen = is_ground[at[inside, 1], at[inside, 0]]
+    assert seen[0] and seen.mean() * inside.mean() > 0.8
+    assert 0.0 < eye[2] - heights[at[0, 1], at[0, 0]] < 150.0
+    assert distance < 1000.0 if gap == "island" else distance > 2000.0
 
 
 def test_the_viewport_looks_through_a_new_camera(factory, add_terrain, monkeypatch):

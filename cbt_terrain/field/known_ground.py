@@ -64,6 +64,19 @@ def known_tiles_of(field: HeightField) -> KnownTiles | None:
     return KnownTiles(is_known, (cells * lattice.step_x, cells * lattice.step_y))
 
 
+def is_in_gap(field: HeightField, positions: np.ndarray) -> np.ndarray:
+    """Return whether positions on the raster are in a filled gap of a mosaic with wide gaps, bool [n].
+
+    Near the files it is known to one tile. False everywhere for other fields. positions: float64 [n, 2], metres in the
+    terrain's space.
+    """
+    tiles, corner = known_tiles_of(field), field.lattice.rectangle()[:2]
+    if tiles is None:
+        return np.zeros(len(positions), bool)
+    from_corner = np.asarray(positions, np.float64) - corner
+    return ~tiles.meets(from_corner, from_corner)
+
+
 def known_samples(field: HeightField) -> np.ndarray | None:
     """Return the marks of samples with ground: uint8 [height, width], 0 in holes and in wide gaps, filled ones too.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cbt_terrain.errors import shown, unwritable
+from ...cbt_terrain.field.known_ground import is_in_gap
 from ...cbt_terrain.field.store import open_store
 from ...cbt_terrain.importing.placing import placing_of
 from ...cbt_terrain.query.ground import ground_at, profile
@@ -42,6 +43,7 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     positions = placing.to_terrain(coordinates)  # metres from the terrain's middle
     if as_line:
         found = profile(field, positions)
+        positions = found.places
         table = np.column_stack([found.along, placing.from_terrain(found.places), found.heights])
         names, lines, inside = list(ALONG), [number_texts(row) for row in table], ~np.isnan(found.heights)
     else:
@@ -54,6 +56,8 @@ def run(store: Path, points: Path, out: Path | None, as_line: bool) -> None:
     missing = int((~inside).sum())
     line = f"{len(lines):,} place{'s' * (len(lines) != 1)}, x and y {shown(where)}; "
     line += f"{missing:,} {'has' if missing == 1 else 'have'} no ground"
+    in_gap = int((inside & is_in_gap(field, positions)).sum())
+    line += f", {in_gap:,} {'is' if in_gap == 1 else 'are'} in a gap between files, with filled heights" * (in_gap > 0)
     print_line(line, file=sys.stderr if out is None else sys.stdout)
 
 

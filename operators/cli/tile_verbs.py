@@ -48,6 +48,7 @@ def run_tiles(arguments) -> None:
     from ...cbt_terrain.exporting.height_tiles import HeightTiles, export_height_tiles
     from ...cbt_terrain.field.store import open_store
     from ..export.exporting import make_folder
+    from ..text.gap_note import gap_note
     from ..text.tile_lines import height_tiles_line
 
     field = open_store(arguments.store)
@@ -68,7 +69,7 @@ def run_tiles(arguments) -> None:
     masks = [AttributeRequest(name, readers=("this command",)) for name in names]
     with Progress(1.0, "tiles", arguments.progress) as bar:
         index = export_height_tiles(field, arguments.out, settings, masks, bar.to)
-    print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index))
+    print_line(height_tiles_line(str(Path(arguments.out) / settings.name), index) + gap_note(field))
 
 
 def add_tileset(verb: argparse.ArgumentParser) -> None:
@@ -88,13 +89,14 @@ def run_tileset(arguments) -> None:
     from ...cbt_terrain.exporting.tileset import export_tileset
     from ...cbt_terrain.field.store import open_store
     from ..export.exporting import check_target
+    from ..text.gap_note import gap_note
     from ..text.tile_lines import tileset_line
 
     check_target(arguments.out)
     field = open_store(arguments.store)
     with Progress(1.0, "tileset", arguments.progress) as bar:
         report = export_tileset(field, arguments.out, arguments.max_error, arguments.triangles, bar.to)
-    print_line(tileset_line(str(arguments.out), report))
+    print_line(tileset_line(str(arguments.out), report) + gap_note(field))
 
 
 def add_map(verb: argparse.ArgumentParser) -> None:

@@ -17,10 +17,12 @@ class UsageError(Exception):
 
 def run_bake(arguments) -> None:
     """Run the verb `bake`: write one static mesh of a store with a given largest vertical error."""
+    from ...cbt_terrain.field.store import open_store
     from ...cbt_terrain.run.partial_files import remove_abandoned
     from ..export.exporting import check_target, figures, write_piece
     from ..export.formats import format_of
     from ..export.frame_sources import baked_piece
+    from ..text.gap_note import gap_note
 
     try:
         form = format_of(arguments.out)
@@ -40,7 +42,7 @@ def run_bake(arguments) -> None:
             on_progress=bar.to,
         )
     write_piece(piece, arguments.out)
-    print_line(summary_line(arguments.out.name, [figures(piece)]))
+    print_line(summary_line(arguments.out.name, [figures(piece)]) + gap_note(open_store(arguments.store)))
     if arguments.fit and not piece.update.rounds:
         print_line("the fit saved no triangles: this is the mesh without it")
 
@@ -180,7 +182,9 @@ def run_maps(arguments) -> None:
 
 def run_shape(arguments) -> None:
     """Run the verb `shape`: apply height operators to a store, and write the result as a store and as rasters."""
+    from ...cbt_terrain.field.store import open_store
     from ...cbt_terrain.height_operators.export import check_export, export_raster
+    from ..text.gap_note import gap_note
     from . import shape_command
 
     for option in () if arguments.path else ("frames", "resolution", "pixel_error"):
@@ -208,7 +212,7 @@ def run_shape(arguments) -> None:
     for line in levels:
         print_line(f"level: {shown(line)}")
     for file in export_raster(arguments.out, arguments.export) if arguments.export else ():
-        print_line(f"{file} is written")
+        print_line(f"{file} is written{gap_note(open_store(arguments.out))}")
     print_line(f"{arguments.out} is ready after {duration(time.monotonic() - start)}")
 
 

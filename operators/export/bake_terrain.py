@@ -15,7 +15,7 @@ from ...cbt_terrain.run.warmup import modules_of
 from ...cbt_terrain.view.criterion import Criterion
 from ..attributes.request import gather_effects
 from ..bridge.cleanup import clean_up
-from ..bridge.scene_paths import absolute_path
+from ..bridge.scene_paths import absolute_path, store_path
 from ..bridge.writer import write_mesh
 from ..kernel_operator import KernelOperator
 from ..land.request import land_of
@@ -24,6 +24,7 @@ from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain.request import RENDER, Request, gather
 from ..terrain.request_kernels import kernels_for
+from ..text.gap_note import gap_note
 from ..text.shown_bounds import bound_text, limit_text
 
 
@@ -178,5 +179,5 @@ class BakeTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator):
         if update.limited:
             self.report({"WARNING"}, f"{message}: held back by {limit_text(update.limited)}")
         else:
-            self.report({"INFO"}, message)
+            self.report({"INFO"}, message + gap_note(session.open_field(store_path(obj))))
         return {"FINISHED"}

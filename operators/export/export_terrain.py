@@ -9,7 +9,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ...cbt_terrain.errors import TerrainError
-from ..bridge.scene_paths import propose_file
+from ..bridge.scene_paths import propose_file, store_path
 from ..kernel_operator import KernelOperator
 from ..session import session
 from ..session.polls import (
@@ -21,6 +21,7 @@ from ..session.polls import (
 )
 from ..terrain.request import RENDER, gather
 from ..terrain.request_kernels import kernels_for
+from ..text.gap_note import gap_note
 from .formats import FORMATS, format_of
 
 NAMES = [f".{name}" for name, form in FORMATS.items() if not form.is_whole_scene]
@@ -97,7 +98,8 @@ class ExportTerrain(KernelOperator, TerrainObjectOperator, bpy.types.Operator, E
         write_piece(piece, path)
         triangles = figures(piece)["triangles"]
         if triangles:
-            self.report({"INFO"}, f"{path.name}: {triangles:,} triangles")
+            note = gap_note(session.open_field(store_path(context.object)))
+            self.report({"INFO"}, f"{path.name}: {triangles:,} triangles{note}")
         else:
             self.report({"WARNING"}, f"{path.name}: nothing is left of the terrain; check its clean-up, and its holes")
 

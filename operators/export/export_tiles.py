@@ -22,6 +22,7 @@ from ..land.shape_land import check_is_shaped
 from ..session import session
 from ..session.polls import remember_object
 from ..terrain.request import RENDER
+from ..text.gap_note import gap_note
 from ..text.tile_lines import height_tiles_line, tileset_line
 from .export_terrain import draw_formats
 from .exporting import check_target
@@ -106,7 +107,7 @@ class LandExport(FileJobOperator):
         def write_stoppable() -> str:
             """Write until the job is stopped; return the line to report."""
             with stopping.checking(job.raise_if_stopped):
-                return write(job.progress)
+                return write(job.progress) + gap_note(field)
 
         return (yield from jobs.run_on_thread(job, write_stoppable))
 

@@ -27,12 +27,13 @@ SYSTEMS = [
 @dataclass(frozen=True, eq=False)
 class KnownPoint:
     """A point of the ground: its position in the world, float64 [3], its coordinates in the terrain's system as a text,
-    and the height of the terrain's height map there, metres.
+    the height of the terrain's height map there, metres, and a note if that is a filled one, else "".
     """
 
     position: np.ndarray
     coordinates: str
     height: float
+    note: str
 
 
 def find_point(grounds: Sequence[WorldGround], given: Coordinates, system: str) -> KnownPoint:
@@ -125,7 +126,8 @@ def _point_at(ground: WorldGround, local: np.ndarray) -> KnownPoint | None:
     z = float(samples.heights[0])
     height = (z - ground.offset) / ground.scale if ground.scale else z  # of the height map
     position = ground.to_world(np.array([[*local, z]]))[0]
-    return KnownPoint(position, coordinates_text(ground.field.raster.known_place, ground.field.crs, local), height)
+    coordinates = coordinates_text(ground.field.raster.known_place, ground.field.crs, local)
+    return KnownPoint(position, coordinates, height, ground.gap_note(position))
 
 
 def _distance(ground: WorldGround, local: np.ndarray) -> float:

@@ -94,8 +94,8 @@ class PickGround(GroundOperator, bpy.types.Operator):
             context.scene.cursor.location = point
         slope = math.degrees(math.acos(min(1.0, ground.normals(point[None])[0, 2])))
         position = ", ".join(f"{value:,.2f}" for value in point)
-        coordinates = ground.coordinates(point)
-        self.report({"INFO"}, ", ".join(filter(None, (f"Ground at {position} m, slope {plain(slope)}°", coordinates))))
+        notes = f"Ground at {position} m, slope {plain(slope)}°", ground.coordinates(point), ground.gap_note(point)
+        self.report({"INFO"}, ", ".join(filter(None, notes)))
         return {"FINISHED"}
 
 

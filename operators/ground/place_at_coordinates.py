@@ -73,7 +73,8 @@ class PlaceAtCoordinates(GroundOperator, bpy.types.Operator):
             why = "because a constraint holds it: mute the constraint."
             self.report({"WARNING"}, f"{objects[0].name} is {length_text(missed)} from these coordinates, {why}")
         name = _name_of(objects) or "3D cursor"
-        self.report({"INFO"}, f"{name}: {point.coordinates}, height {point.height:,.2f} m")
+        note = point.note and f", {point.note}"
+        self.report({"INFO"}, f"{name}: {point.coordinates}, height {point.height:,.2f} m{note}")
         return {"FINISHED"}
 
 

@@ -22,6 +22,7 @@ from ..terrain.overrides import Overrides
 from ..terrain.request import RENDER, VIEWPORT, gather
 
 ANY = Criterion(error_px=0.0, error_m=1.0)  # needs no camera; the triangles do not matter
+GAP = "in a gap between files, where heights are filled"
 HEADROOM = 0.01  # fraction of a terrain's height: rays down start this far above it
 
 
@@ -63,6 +64,12 @@ class WorldGround:
     def coordinates(self, point: np.ndarray) -> str:
         """Return the coordinates of a point of the world, float64 [3], in the raster's system as a text, or ""."""
         return coordinates_text(self.field.raster.known_place, self.field.crs, self.to_local(point[None])[0])
+
+    def gap_note(self, point: np.ndarray) -> str:
+        """Return a note if a point of the world, float64 [3], is in a gap between files; else ""."""
+        from ...cbt_terrain.field.known_ground import is_in_gap
+
+        return GAP if is_in_gap(self.field, self.to_local(point[None])[:, :2])[0] else ""
 
     def hits(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return the points where rays of the world first hit the ground, float64 [n, 3]; NaN for rays that miss."""

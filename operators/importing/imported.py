@@ -17,6 +17,7 @@ from ...cbt_terrain.importing.thinning import loaded_m, refined_m
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ..bridge.scene_origin import CRS_X, CRS_Y, SRID
 from ..bridge.scene_paths import absolute_path
+from ..text.gap_note import MIN_PERCENT, gap_percent
 from ..text.numbers import length_text, plain
 from ..text.translations import phrase
 
@@ -118,7 +119,11 @@ def filled_note(imported: Imported) -> str:
     """Return the number of samples that the import has filled, and how to leave holes instead; "" without any."""
     if not imported.filled:
         return ""
-    return f"Filled: {imported.filled:,} samples without data. To leave holes, tick Cut Out No-Data and import again."
+    text = f"{imported.filled:,} samples without data"
+    percent = 100.0 * imported.filled / math.prod(imported.raster)
+    if percent >= MIN_PERCENT:
+        text = f"{gap_percent(percent)} of the rectangle, which has no data"
+    return f"Filled: {text}. To leave holes, tick Cut Out No-Data and import again."
 
 
 def info_lines(imported: Imported | None) -> list[tuple[str, str]]:

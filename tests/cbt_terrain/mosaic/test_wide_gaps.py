@@ -29,6 +29,7 @@ from fields import mesh_heights
 from finer_imports import assert_same, make_small
 from invariants import assert_invariants
 from mosaic_files import EAST, NORTH, UTM32, sheet
+from store_exports import run
 
 STEP, WIDE, HIGH = 2.0, 300, 200  # metres and samples of a file
 CORNERS = {"a": (EAST, NORTH), "b": (EAST + 12_000.0, NORTH - 9_000.0)}  # of the files, in the north-west
@@ -165,6 +166,20 @@ def test_scattered_points_are_near_files_only(islands, monkeypatch):
     assert (names != "").all() and set(names) == set(sheets)
     inside = files_at(field, sheets, points.positions[:, :2].astype(np.float64), 0.0) != ""
     assert inside.sum() == pytest.approx(2 * WIDE * HIGH * STEP**2 / 100.0, rel=0.02)
+
+
+def test_a_query_and_an_export_name_the_gap(islands, tmp_path, capsys):
+    sheets, folder, report = islands
+    middles = [(one.west + WIDE, one.north - HIGH) for one in sheets.values()]
+    points = [*middles, (EAST + 6_000.0, NORTH - 1_000.0), (0.0, 0.0)]
+    (tmp_path / "points.csv").write_text("x,y\n" + "\n".join(f"{x},{y}" for x, y in points))
+    assert run("query", "--store", folder / "store", "--points", tmp_path / "points.csv") == 0
+    line = capsys.readouterr().err.strip()
+    assert line.endswith("; 1 has no ground, 1 is in a gap between files, with filled heights")
+    assert run("tiles", "--store", folder / "store", "--out", tmp_path, "--step", "100") == 0
+    line = capsys.readouterr().out.strip()
+    percent = 100.0 * report["filled"] / np.prod(report["raster"])
+    assert f"{percent:.4g} % of its rectangle is gaps without data" in line and 98.0 < percent < 100.0
 
 
 def test_a_city_in_a_country_has_no_gap(islands, small, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.importing import placing
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.run import warmup
 from adaptive_terrain.operators.ground import known_points
@@ -20,9 +21,11 @@ from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.importing.shared_origin import place_terrain
 from adaptive_terrain.operators.terrain import move_world
 from drawn_panels import DrawnLayout
+from finer_imports import make_small
 from ground_scenes import ASKEW, added, cube, only
 from mathutils import Vector
 from modal_runs import RunningOperator
+from mosaic_files import sheet
 from rasterio.transform import from_origin
 from rasterio.warp import transform as warp
 from rasters import hills, write_raster
@@ -308,3 +311,24 @@ def test_the_dialog_and_the_panel_name_what_moves(add_located):
         layout = DrawnLayout()
         PlaceAtCoordinates.draw(SimpleNamespace(layout=layout), bpy.context)
         assert expected in layout.texts
+
+
+def test_points_in_a_gap_between_files_say_so(add_located, tmp_path, monkeypatch, capfd):
+    """Their heights are filled; a point on a file has no such note."""
+    make_small(monkeypatch)
+    for name, moved in (("a", 0.0), ("b", 12_000.0)):
+        sheet("EPSG:2056", 2_599_600 + moved, 1_200_300 - moved, 2.0, 2.0, 300, 200).write(
+            tmp_path / f"files/{name}.tif"
+        )
+    run_mosaic_import(ImportSettings(str(tmp_path / "files")), tmp_path / "gaps")
+    obj = add_located()
+    obj.adaptive_terrain.store = str(tmp_path / "gaps")
+    place_terrain(obj, bpy.context.scene, imported_of(obj.adaptive_terrain))
+    for place, expected in (("2599900 1200100", False), ("2606000 1194000", True)):
+        assert PLACE.place_at_coordinates(coordinates=place) == {"FINISHED"}
+        x, y, z = bpy.context.scene.cursor.location
+        assert PLACE.pick_ground(origin=(x, y, z + 100.0)) == {"FINISHED"}
+        lines = [
+            line for line in capfd.readouterr().out.splitlines() if "2,6" in line or "2,5" in line or "260" in line
+        ]
+        assert len(lines) == 2 and all(("in a gap between files" in line) == expected for line in lines), lines

@@ -18,6 +18,7 @@ from adaptive_terrain.operators.importing import import_terrain
 from adaptive_terrain.operators.importing.imported import (
     Imported,
     changed_settings,
+    filled_note,
     imported_of,
     info_lines,
     tag_object,
@@ -74,7 +75,7 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     file = Path(terrain.adaptive_terrain.store) / "store.json"
     content = json.loads(file.read_text())
     assert imported_of(terrain.adaptive_terrain).warnings == ()
-    content["report"]["filled"] = 11_277
+    content["report"]["filled"] = 27
     content["report"]["warnings"] = ["Heights are in\nfeet.", "x" * 9_000, *["more"] * 50]
     content["sum"] = stores._sum_of(content)
     file.write_text(json.dumps(content))
@@ -83,8 +84,10 @@ def test_the_panel_shows_the_warnings_of_an_import(terrain):
     column = draw_mocked(ImportedPanel, terrain)
     labels = [call.kwargs.get("text") for call in column.box().column().label.mock_calls]
     assert "Heights are in feet." in labels
-    filled = "Filled: 11,277 samples without data. To leave holes, tick Cut Out No-Data and import again."
+    filled = "Filled: 27 samples without data. To leave holes, tick Cut Out No-Data and import again."
     assert filled in " ".join(filter(None, labels))
+    imported = dataclasses.replace(imported_of(terrain.adaptive_terrain), raster=(200, 300), filled=45_000)
+    assert filled_note(imported).startswith("Filled: 75 % of the rectangle, which has no data. To leave holes,")
 
 
 def test_raw_settings_are_for_files_without_a_header(tmp_path):

@@ -192,7 +192,7 @@ def drop_points(obj, world: Matrix, ground, offset: float) -> None:
         raise TerrainError(f"{name} has a curve without points", fix="add some")
     if world.determinant() == 0.0:
         raise TerrainError(f"{name} has a scale of 0", fix="give it another")
-    positions = np.array([world @ point.co.to_3d() for point in points])
+    positions = np.array([world @ point.co.to_3d() for point in points], np.float64)
     heights = world_ground.find_below(ground, positions).heights
     if not np.isfinite(heights).any():
         raise TerrainError(f"{name} has no ground above or below its points", fix="move it over the terrain")
@@ -228,7 +228,7 @@ def rest_pose(evaluated, corners, ground, align: bool) -> RestPose | None:
     if align and np.isfinite(below.heights[0]):
         turn = moves.turn_to(evaluated, world_ground.normals_at(ground, position[None], below)[0])
         if corners is not None:  # turned about the origin
-            corners = np.array([turn @ Vector(corner) for corner in corners - origin]) + origin
+            corners = np.array([turn @ Vector(corner) for corner in corners - origin], np.float64) + origin
             position = _middle(corners)
     heights = world_ground.find_below(ground, np.array([position, origin])).heights.tolist()
     if not np.isfinite(heights[0]):

@@ -9,6 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.view.view import ORTHOGRAPHIC, PANORAMIC, PERSPECTIVE
 from adaptive_terrain.operators.bridge.camera import render_resolution, views_from_scene
+from adaptive_terrain.operators.bridge.demand.trees import tree_of_new
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 from rendered_pictures import rendered
@@ -140,8 +141,8 @@ def directions(scene, folder) -> np.ndarray:
     """float64 [rows, columns, 3]: where Cycles looks through the middle of a pixel; NaN where there is no picture."""
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=10, location=scene.camera.location)
     material = bpy.data.materials.new("place")
-    material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
+    tree = tree_of_new(material)
+    nodes, links = tree.nodes, tree.links
     nodes.clear()
     place, emission = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeEmission")
     move = nodes.new("ShaderNodeVectorMath")  # colours are not negative

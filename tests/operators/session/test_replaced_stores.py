@@ -22,7 +22,8 @@ def largest_difference(terrain, scene, heights) -> float:
 
     terrain: may be evaluated, as for a render.
     """
-    points = np.array([terrain.matrix_world @ vertex.co for vertex in terrain.original.data.vertices])
+    places = [terrain.matrix_world @ vertex.co for vertex in terrain.original.data.vertices]
+    points = np.array(places, np.float64)  # else float32 from Blender 5 on
     column = (points[:, 0] + scene["crs x"] - CORNER.c) / 10 - 0.5
     row = (CORNER.f - points[:, 1] - scene["crs y"]) / 10 - 0.5
     rows, columns = heights.shape

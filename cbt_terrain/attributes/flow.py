@@ -11,7 +11,7 @@ from ..field.lattice import fit
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import level_of, level_with, scaled_pyramid
+from .pyramid import holes_of_level, level_of, level_with, scaled_pyramid
 from .whole import whole
 
 VERSION = 1
@@ -44,7 +44,7 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
         heights = level_of(field.raster, level, threads)
         if sign != 1.0:  # a negative scale turns the ground upside down, and 0 makes it level
             heights = heights * np.float32(sign)
-        drainage = route(heights, *steps, _holes_of_level(field, level), threads)
+        drainage = route(heights, *steps, holes_of_level(field.raster, level), threads)
         filled = drainage.filled()  # the ground, with lakes up to their outlets
         area = drainage.areas(filled)
         drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet
@@ -57,16 +57,6 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
 
     # From memory or the store, else from `make`. Water flows the same way under all scales of one sign.
     return whole("flow", VERSION, parameters=(sign,), field=field, lattice=fit(columns, rows, *steps), make=make)
-
-
-def _holes_of_level(field: HeightField, level: int) -> np.ndarray | None:
-    """Return which samples of a level of the height pyramid are holes, bool [rows, columns]; None if none can be."""
-    if field.valid is None:
-        return None
-    holes = field.valid[:: 2**level, :: 2**level] == 0
-    # A level may end beyond the border.
-    rows, columns = samples_by_level(field.lattice)[level]
-    return np.pad(holes, ((0, rows - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
 
 
 def make(points: SamplePoints, wanted: Wanted, read: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The ground that hides light: the raster and the maxima of its blocks, by which rays skip blocks.
 
-Between samples the ground is the raster's profile from line to line, whatever the surface; holes are filled.
+Between samples the ground is the raster's profile from line to line, whatever the surface. Holes hide nothing.
 """
 
 import numpy as np
@@ -50,6 +50,8 @@ def occluder_without_blocks(field: HeightField, scale: float) -> kernels.Occlude
     occluder.margin = MARGIN * max(abs(low), abs(high))  # metres, more than the rounding of a height
     occluder.highest = max(low, high)
     occluder.levels = 0  # of blocks
+    if field.valid is not None:
+        occluder.holed, occluder.valid = 1, flat(field.valid, wp.uint8)
     return occluder
 
 

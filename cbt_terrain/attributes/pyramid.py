@@ -77,6 +77,16 @@ def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
+def holes_of_level(raster: HeightRaster, level: int) -> np.ndarray | None:
+    """Return which samples of a level are missing, bool [rows, columns]; None for a raster without holes."""
+    if raster.valid is None:
+        return None
+    holes = raster.valid[:: 2**level, :: 2**level] == 0
+    # A level may end beyond the border.
+    rows, columns = samples_by_level(raster.lattice)[level]
+    return np.pad(holes, ((0, rows - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
+
+
 def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> "kernels.Pyramid":
     """Return the samples and the coarser levels as kernels read them, without a scale.
 

@@ -7,24 +7,28 @@ coarse level.
 It is cached with the field and, when complete, in its store, for the last MAX_SCALES vertical scales. An interrupted
 computation continues from the last complete azimuth: its state is the number of `azimuths` that are complete, of
 AZIMUTHS, and `sky`, the sum of their shares at each sample.
+
+Holes hide nothing. A missing sample has the sky of the nearest known one, for points between both.
 """
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import sweep as kernels
+from ..field.cleaning import fill_missing
 from ..field.derived_arrays import samples_by_level
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
 from .light import AZIMUTHS, azimuths
-from .pyramid import level_of, level_with
+from .pyramid import holes_of_level, level_of, level_with
 from .whole import read_stored, remove_old, result_file, write_result
 
 # Bounds memory and the time of a step.
 MAX_SAMPLES = 1 << 25
 VERSION = 1  # raised whenever values change
+HOLES_VERSION = 1  # raised whenever values of rasters with holes change; those without keep theirs
 MAX_SCALES = 2
 # A preview has samples at multiples of 2^3 or more, at most this many, and half of the azimuths.
 PREVIEW_LEVEL, PREVIEW_SAMPLES, PREVIEW_AZIMUTHS = 3, 300_000, AZIMUTHS // 2
@@ -79,9 +83,9 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
-            rows, columns = heights.shape
+            (rows, columns), missing = heights.shape, holes_of_level(field.raster, level)
             azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
-            sweep(heights, steps, azimuth, scale, threads, horizons)
+            sweep(heights, steps, azimuth, scale, threads, horizons, missing=missing)
             # Removed while the kernel adds: a process forked meanwhile sees no half-added sums and starts again.
             sums = state.pop("sky", None)
             sums = np.zeros(heights.shape, np.float32) if sums is None else sums
@@ -94,7 +98,8 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             launch.spread(kernels.add_sky, rows, [sky], step="light", threads=threads, cost=columns)
             done = state["azimuths"] + 1
             if done == AZIMUTHS:
-                file = result_file(LAYER, VERSION, (scale,))
+                _fill_holes(sums, missing, threads)
+                file = _file_of(field, scale)
                 sums = write_result(field, file, sums)  # mapped if it is in the store
                 remove_old(field, f"effect_{LAYER}_*.npy", file, MAX_SCALES)
             state |= {"sky": sums, "azimuths": done}
@@ -117,9 +122,24 @@ def _layer_state(field: HeightField, scale: float) -> dict:
 def _load_from_store(field: HeightField, scale: float) -> None:
     """Load the complete sky into the cache if the field's store has it. scale: vertical scale."""
     shape = samples_by_level(field.lattice)[layer_level(field)]
-    sky = read_stored(field, result_file(LAYER, VERSION, (scale,)), shape)
+    sky = read_stored(field, _file_of(field, scale), shape)
     if sky is not None:
         _cache_entry(field, LAYER, scale).update(azimuths=AZIMUTHS, sky=sky)
+
+
+def _file_of(field: HeightField, scale: float) -> str:
+    """Return the name of the file in the store that has the sky at a vertical scale, without its suffix."""
+    return result_file(LAYER, VERSION, (scale,) if field.valid is None else (scale, "holes", HOLES_VERSION))
+
+
+def _fill_holes(values: np.ndarray, missing: np.ndarray | None, threads: int) -> None:
+    """Give missing samples the value of the nearest known one, in place. missing: bool like values, None without any.
+
+    Values stay as they are if all samples are missing, as can be on a coarse level.
+    """
+    if missing is not None and missing.any() and not missing.all():
+        values[missing] = np.nan
+        fill_missing(values, threads)
 
 
 def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.SkyLayer:
@@ -135,9 +155,11 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
+            missing = holes_of_level(field.raster, level)
             horizons = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
             for azimuth, out in zip(azimuths(), horizons, strict=False):
-                sweep(heights, steps, azimuth, scale, threads, out)
+                sweep(heights, steps, azimuth, scale, threads, out, missing=missing)
+                _fill_holes(out, missing, threads)
             state["horizons"] = horizons
     return _layer(field, state["horizons"], level)
 
@@ -150,6 +172,7 @@ def sweep(
     threads: int,
     out: np.ndarray,
     first: tuple[int, int] = (0, 0),
+    missing: np.ndarray | None = None,
 ) -> None:
     """Fill `out` (float32 [rows, columns]) with the slope of each sample's horizon, at least 0.
 
@@ -158,7 +181,8 @@ def sweep(
 
     heights: float32 [rows, columns], at least 2 each, metres, multiplied by `scale` here. steps: metres of a cell.
     azimuth: float64 [2], unit vector to the east and north. first: row and column of sample [0, 0] in a larger raster,
-    so that this part of it has the same lines.
+    so that this part of it has the same lines. missing: bool like heights, samples in holes, which hide nothing and get
+    values without a meaning; None without any.
     """
     rows, columns = heights.shape
     east, north = azimuth[0] / steps[0], azimuth[1] / steps[1]
@@ -167,6 +191,8 @@ def sweep(
     s.major, s.minor = (rows, columns) if upright else (columns, rows)
     s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
     along, across = (north, east) if upright else (east, north)
+    if missing is not None:
+        s.holed, s.known = 1, flat((~missing).view(np.uint8), wp.uint8)
     # From one sample along the major axis to the next, a line moves `slope` minor samples and is `metres` long.
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     s.phase = s.slope * first[0 if upright else 1] % 1.0  # part of a sample by which the larger raster's lines shift

@@ -6,7 +6,8 @@ horizon is the largest slope from the point to a crossing. A crossing is a funct
 that the order of visits does not change bits, and crossings that cannot raise the horizon may be skipped: blocks of 2^l
 cells a side whose maximum is below the horizon so far (Tevs, Ihrke and Seidel 2008, "Maximum mipmaps for fast,
 accurate, and scalable dynamic height field rendering"). A few crossings at growing distances are visited first; they
-raise the horizon early. `g` is the ground: the raster and the maxima of its blocks.
+raise the horizon early. Crossings in holes do not count. `g` is the ground: the raster and the maxima of its blocks,
+which include the fill of holes, as bounds may.
 """
 
 import warp as wp
@@ -31,6 +32,8 @@ class Occluder:
     first: wp.array(dtype=wp.int64)  # [levels]: first block of each level
     wide: wp.array(dtype=wp.int32)  # [levels]: blocks in a row
     levels: wp.int32  # 0 for no blocks; every crossing is visited then
+    holed: wp.int32  # 1 if cells are cut out, which hide nothing
+    valid: wp.array(dtype=wp.uint8)  # 0 at missing samples; unused without holes
     highest: wp.float64  # after scaling
     margin: wp.float64  # metres, more than the rounding of a height of the profile
 
@@ -120,13 +123,19 @@ def gradient(g: Occluder, x: wp.float64, y: wp.float64):
             ? (float)((double)(g.samples.numbers.data[k] + g.samples.first) * g.samples.scale + g.samples.offset)
             : floats[k]);
     };
+    // Whether a cell beside the line, at sample k, is ground: cells with a missing sample are cut out.
+    auto is_ground = [&](int d, int line, long long k) {
+        const wp::uint8 *const valid = g.valid.data;
+        auto known = [&](long long i) { return valid[i] && valid[i + strides[!d]]; };
+        return known(k) && ((line > 0 && known(k - strides[d])) || (line < axes[d].cells && known(k + strides[d])));
+    };
     // Raise `best` to the slope of the crossing `way` metres off with a line of axis d, inside `cell` of the other.
     auto meet = [&](int d, int line, int cell, double way) __attribute__((always_inline)) {
         const Axis &other = axes[!d];
         const long long k = line * strides[d] + cell * strides[!d];
         const double a = height(k), b = height(k + strides[!d]);
         const double slope = (a + (b - a) * (other.from + way * other.per_metre - cell) - z0) / way;
-        if (way > near && way <= far && slope > best) best = slope;
+        if (way > near && way <= far && slope > best && (!g.holed || is_ground(d, line, k))) best = slope;
     };
     int cell[2] = {axes[0].start(), axes[1].start()};
     if (levels) {  // first some crossings at growing distances, which raise the horizon early

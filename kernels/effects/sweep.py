@@ -6,7 +6,8 @@ After Timonen and Westerholm 2010, "Scalable height field self-shadowing".
 Parallel lines run along the azimuth, one sample apart. A line's profile has one point at each sample of the direction
 that it is nearer to, between two samples of the other. From the far end to the near one, each point's horizon is the
 last corner of the convex hull of the points ahead, from which hidden points have been removed: a few operations for a
-point, however far it sees. A sample's horizon is interpolated from the two lines next to it.
+point, however far it sees. A sample's horizon is interpolated from the two lines next to it. Points beside a missing
+sample are no ground: they hide nothing, and are no corners.
 """
 
 import warp as wp
@@ -41,6 +42,8 @@ class Sweep:
     hulls: wp.array(dtype=wp.int32)  # likewise
     slopes: wp.array(dtype=wp.float32)  # [2 major] of each
     out: wp.array(dtype=wp.float32)  # metres a metre, at least 0
+    holed: wp.int32  # 1 if some samples are missing, which hide nothing
+    known: wp.array(dtype=wp.uint8)  # 0 at missing samples; unused without any
 
 
 @wp.func_native(
@@ -63,17 +66,28 @@ class Sweep:
             now[k] = -1.0f;  // outside the raster
             if (!(at >= 0.0 && at <= m - 1)) continue;
             const int j = (int)at < m - 2 ? (int)at : m - 2;
-            const float *p = s.heights.data + k * along + j * across;
+            const long long index = k * along + j * across;
+            bool is_ground = true;
+            if (s.holed) {
+                const bool before = s.known.data[index], after = s.known.data[index + across];
+                is_ground = at == j ? before : at == j + 1 ? after : before && after;
+                now[k] = 0.0f;
+                if (!before && !after) continue;  // no sample of ground reads the horizon of this point
+            }
+            const float *p = s.heights.data + index;
             const double height = s.scale * (p[0] + ((double)p[across] - p[0]) * (at - j));
             auto ahead = [&](int i) { return (double)(i > k ? i - k : k - i); };
-            while (corners > 1) {  // remove corners below the line from this point to the one behind them
-                const int a = hull[corners - 1], b = hull[corners - 2];
+            int seen = corners;
+            while (seen > 1) {  // pass corners below the line from this point to the one behind them
+                const int a = hull[seen - 1], b = hull[seen - 2];
                 if ((z[b] - height) * ahead(a) < (z[a] - height) * ahead(b)) break;
-                corners--;
+                seen--;
             }
-            const int top = corners ? hull[corners - 1] : k;  // the horizon's point
-            const double rise = corners ? (z[top] - height) / (ahead(top) * s.metres) : 0.0;
+            const int top = seen ? hull[seen - 1] : k;  // the horizon's point
+            const double rise = seen ? (z[top] - height) / (ahead(top) * s.metres) : 0.0;
             now[k] = rise > 0.0 ? (float)rise : 0.0f;
+            if (!is_ground) continue;  // it hides nothing, and the corners that it passed stay
+            corners = seen;
             z[k] = height;
             hull[corners++] = k;
         }
@@ -92,7 +106,7 @@ def sweep_lines(s: Sweep, item: int):
     """Compute the horizons (slopes, metres a metre) of samples along LINES parallel lines over a raster; write them.
 
     A line keeps the upper hull of the ground ahead of it, on which the horizon's point is. A sample between two lines
-    gets the interpolated value. item: number of the group of lines.
+    gets the interpolated value; that of a missing sample has no meaning. item: number of the group of lines.
     """
     ...
 

@@ -71,8 +71,8 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
     """Return the settings of a whole sweep.
 
     They are pixels, depth limits and meshlets if there is a view; metres, plain and fitted; and every other error with
-    the other interpolation. Only bilinear terrain without detail can be fitted. If a frame follows, some errors are
-    repeated with the other geomorph: SMOOTH if `morph`, that of the swept criterion, is 1 (none), else 1.
+    the other interpolation. Only bilinear terrain without detail or holes can be fitted. If a frame follows, some
+    errors are repeated with the other geomorph: SMOOTH if `morph`, that of the swept criterion, is 1 (none), else 1.
     """
     same = partial(Setting, interpolation=heights.interpolation)
     other = partial(Setting, interpolation=next(name for name in INTERPOLATIONS if name != heights.interpolation))
@@ -88,7 +88,8 @@ def settings_for(heights: HeightField, frame: TimedFrame, morph: float = 1.0) ->
     metres = metre_steps((heights.max_height - heights.min_height) * abs(frame.vertical_scale))
     settings += [same("m", error) for error in metres]
     settings += [other("m", error) for error in metres[::2]]
-    return settings + [Setting("m", error, fitted=True) for error in metres if not heights.detail]
+    can_be_fitted = not heights.detail and heights.valid is None
+    return settings + [Setting("m", error, fitted=True) for error in metres if can_be_fitted]
 
 
 def metre_steps(relief_m: float) -> list[float]:

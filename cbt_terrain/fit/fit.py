@@ -57,9 +57,15 @@ def fit(
     for which they suffice is taken, in steps of a factor 2^(1/8). Heights become `height * vertical_scale +
     vertical_offset` metres. The bytes are the same for any number of threads. `on_progress` gets the finished fraction,
     and may raise, which cancels. If the error could not be kept, the result's `limited` has the reason, else "". Raises
-    TerrainError if a number cannot be used, and for bicubic surfaces or a detail.
+    TerrainError if a number cannot be used, and for bicubic surfaces, a detail or holes.
     """
     check_interpolation(field.interpolation)
+    if field.valid is not None:  # it would fit what fills them
+        raise TerrainError(
+            "A terrain with holes cannot be fitted",
+            expected="one whose no-data is filled",
+            fix="bake it without Fit (--fit), or import it without Cut Out No-Data (--holes)",
+        )
     if field.detail:
         raise TerrainError(
             "A surface with detail cannot be fitted",

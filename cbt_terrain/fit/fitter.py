@@ -118,10 +118,9 @@ class Fitter:
     def run(self, error_m: float) -> FittedMesh | None:
         """Fit a mesh to one error in metres.
 
-        Returns None if MAX_MESHES did not reach it, for a vertical scale of 0, or if the raster has holes, whose filled
-        samples it would fit.
+        Returns None if MAX_MESHES did not reach it, or for a vertical scale of 0.
         """
-        if not self.scale or self.field.valid is not None:
+        if not self.scale:
             return None
         field, buffers = self.field, Buffers()
         history = FrameHistory()
@@ -164,7 +163,7 @@ class Fitter:
         return None
 
     def end_at_borders(self, mesh: FittedMesh) -> Surface:
-        """Return the surface as it is delivered: cut at the raster's border and at its holes."""
+        """Return the surface as it is delivered: cut at the raster's border."""
         return borders.cut_ends(mesh.surface, self.field, self.plain, threads=self.threads)[0]
 
     def measure_interpolating(self, update: Update, error_m: float) -> FittedMesh:
@@ -187,9 +186,6 @@ class Fitter:
         buffers, m = Buffers(), self._mesh(error_m)
         Sweeps(self, m, buffers).bind(update.surface, self._nothing_known())
         self._measure(m, update.surface)
-        if self.field.valid is not None:
-            worst = buffers.numpy("fit_worst")[: update.triangles]  # triangles in holes are not delivered
-            worst[borders.in_holes(update.surface, self.field, self.plain, self.threads)] = 0.0
         mesh = self._bounded_mesh(update.surface, buffers, error_m, rounds=0)
         if update.bound_m < mesh.bound_m:
             mesh = replace(mesh, bound_m=update.bound_m, limited=update.limited, terms=update.terms_m)

@@ -15,6 +15,7 @@ from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.cbt_terrain.terrain import Terrain
 from adaptive_terrain.cbt_terrain.view.criterion import Criterion
 from adaptive_terrain.cbt_terrain.view.view import View
+from adaptive_terrain.operators.cli import command_line
 from own_surface import distances
 from rasters import hills
 
@@ -109,18 +110,31 @@ def test_a_store_keeps_holes(tmp_path):
     assert [(r["filled"], r["cut_out"]) for r in reports] == [(0, lost), (lost, 0)]
     cut, filled = open_store(tmp_path / "True"), open_store(tmp_path / "False")
     assert np.array_equal(cut.valid[::-1] == 0, np.isnan(heights)) and filled.valid is None and cut.key != filled.key
-    assert np.array_equal(cut.samples, filled.samples) and "valid.npy" in verify(tmp_path / "True")
+    assert np.array_equal(cut.samples[cut.valid > 0], filled.samples[cut.valid > 0])
+    assert "valid.npy" in verify(tmp_path / "True")
     assert interpolated(cut, "bicubic").valid is cut.valid
     next((tmp_path / "True").glob("data-*/valid.npy")).unlink()
     with pytest.raises(TerrainError, match="lacks valid.npy"):
         open_store(tmp_path / "True")
 
 
-def test_a_mesh_with_holes_can_be_measured_and_fitted():
+def test_a_mesh_with_holes_can_be_measured():
     field = from_array(raster(), STEP, holes=True)
-    asked = Criterion(error_px=0.0, error_m=2.0)
-    for mesh in (Terrain(field, 1).update(asked), fit(field, 2.0)):
-        assert 1.0 < measure(field, mesh.surface, random_points=1000, threads=1).vertical_max_m <= 2.0
+    mesh = Terrain(field, 1).update(Criterion(error_px=0.0, error_m=2.0))
+    assert 1.0 < measure(field, mesh.surface, random_points=1000, threads=1).vertical_max_m <= 2.0
+
+
+def test_a_terrain_with_holes_is_not_fitted(tmp_path, capsys):
+    """It would fit what fills them. Before, it was baked without the fit, with no reason given."""
+    np.save(tmp_path / "a.npy", raster())
+    import_source(ImportSettings(source=str(tmp_path / "a.npy"), holes=True), tmp_path / "store")
+    with pytest.raises(TerrainError, match="A terrain with holes cannot be fitted") as raised:
+        fit(from_array(raster(), STEP, holes=True), 2.0)
+    assert "--fit" in raised.value.fix and "--holes" in raised.value.fix
+    options = ["--store", str(tmp_path / "store"), "--max-error", "2", "--out", str(tmp_path / "a.npz")]
+    assert command_line.main(["bake", *options, "--fit"]) != 0
+    assert "A terrain with holes cannot be fitted" in capsys.readouterr().err and not (tmp_path / "a.npz").exists()
+    assert command_line.main(["bake", *options]) == 0
 
 
 def test_a_raster_of_which_holes_leave_nothing_is_refused():

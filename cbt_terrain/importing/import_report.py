@@ -37,12 +37,19 @@ def report_of(field: HeightField, source: TileSource, check: ValueCheck) -> dict
         "bounds_against": against,
         **finer_entries(field),
         **raster.details,
+        # Files have gaps between them ("gap_percent", by their headers) and no-data inside.
+        **({"missing_percent": _missing_percent(field)} if "gap_percent" in raster.details else {}),
         **(loaded_entries(raster, field.provenance) if raster.full_size is not None else {}),  # replace bounds_against
         "warnings": warnings,
     }
     if source.settings.source not in LANDS:
         warnings += _value_warnings(source, report, check)  # extends the list in the report
     return report
+
+
+def _missing_percent(field: HeightField) -> float:
+    """Return the percentage of a raster's samples that no file has a height for."""
+    return round(100.0 * field.filled / field.samples.size, 2)
 
 
 def common_report_entries(field: HeightField) -> dict:

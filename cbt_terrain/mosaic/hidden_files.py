@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warnings about files that later files hide, by their headers alone.
+"""Warnings about files that later files hide, or that cut-out gaps leave nothing of, by their headers alone.
 
 A Composite has the files (tiles) of a mosaic in the order of their priority. By their number in it, the rank, it also
 has their boxes in columns and rows of the target grid, and the steps of their samples in samples of that grid. A
@@ -20,6 +20,7 @@ from .systems import projected
 
 STEP_TOLERANCE = 0.01  # steps that differ by less count as equal, as those of degrees in neighbouring zones
 SIDE_POINTS = 24  # along each axis of a file, at which later files are looked for
+BESIDE = 0.51  # of a sample around files that have neighbouring samples
 HIDDEN_FRACTION = 0.5  # of a finer file below coarser ones, from which on it is warned about
 
 
@@ -57,6 +58,32 @@ def hidden_warnings(composite: Composite) -> list[str]:
         *_finer_warnings(composite, finer),
         *_effect_warnings(composite, without_effect),
         *_replaced_warnings(composite, replaced),
+    ]
+
+
+def thin_warnings(composite: Composite) -> list[str]:
+    """Return a warning about files that are one sample wide and beside no other, if gaps are cut out; [] without any.
+
+    Nothing is left of them, since a cell of ground has four samples.
+    """
+    around = np.maximum(composite.steps, 1.0)[:, None] * BESIDE
+    boxes = composite.boxes + np.concatenate([-around, -around, around, around], axis=1)
+    has_neighbour = set(np.array(overlapping_pairs(boxes), np.int64).ravel().tolist())
+    # A file with larger steps than the grid's gives heights to several samples of it.
+    thin = [
+        rank
+        for rank, tile in enumerate(composite.tiles)
+        if min(tile.width, tile.height) == 1
+        and rank not in has_neighbour
+        and composite.steps[rank] < 1 + STEP_TOLERANCE
+    ]
+    if not thin:
+        return []
+    name = shown(Path(composite.tiles[thin[0]].path).name)
+    which = f"{name} is" if len(thin) == 1 else f"{len(thin):,} files, such as {name}, are"
+    return [
+        f"{which} one sample wide and beside no other file, so nothing is left of {'it' if len(thin) == 1 else 'them'} "
+        "where no-data is cut out. To keep such a file, fill no-data (untick Cut Out No-Data, or leave out --holes)."
     ]
 
 

@@ -24,7 +24,7 @@ from ..view.linear import add_up
 from .catalogue import SourceTile, build_catalogue, keep_catalogue
 from .composite import Composite
 from .finer_plan import plan_finer
-from .hidden_files import hidden_warnings
+from .hidden_files import hidden_warnings, thin_warnings
 from .nearest import nearest_samples
 from .systems import crs_of
 from .target_grid import TargetGrid, choose_grid, footprints
@@ -115,6 +115,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         roundings=composite.all_roundings(),
         warnings=[
             *hidden_warnings(composite),
+            *(thin_warnings(composite) if settings.holes else []),
             *file_warnings(composite.tiles),
             *mirror_warnings(file_grid, grid.width, grid.height),
         ],

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Warnings about files that later files hide."""
 
+from contextlib import closing
+
+import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.mosaic import hidden_files
-from adaptive_terrain.cbt_terrain.mosaic.hidden_files import hidden_warnings
+from adaptive_terrain.cbt_terrain.mosaic.hidden_files import hidden_warnings, thin_warnings
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.operators.cli import command_line
 from mosaic_files import DEGREES, EAST, NORTH, UTM32, UTM33, moved, settings_of, sheet
@@ -88,3 +93,37 @@ def test_no_file_is_examined_for_borders_alone(country, city, monkeypatch):
     looks = []
     monkeypatch.setattr(hidden_files, "_cover_of", lambda *file: looks.append(file))
     assert warnings_of(country, city) == [] and looks == []
+
+
+@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1)])
+def test_files_of_one_sample_are_named_if_gaps_are_cut(tmp_path, shape):
+    """Nothing is left of them, unless they are beside another file."""
+    whole = sheet(UTM32, EAST, NORTH, 8.0, 8.0, 80, 80)
+    rows, columns = shape
+    large, alone = whole.write(tmp_path / "large.tif", 0, 40, 0, 40), tmp_path / "alone.tif"
+    whole.write(alone, 0, rows, 60, columns) if columns == 1 else whole.write(alone, 60, rows, 0, columns)
+    beside = tmp_path / "beside.tif"
+    whole.write(beside, 0, rows, 40, columns) if columns == 1 else whole.write(beside, 40, rows, 0, columns)
+    with closing(open_composite(settings_of(large, alone, beside, holes=True), None)) as composite:
+        [warning] = thin_warnings(composite)
+    assert warning.startswith("alone.tif is one sample wide and beside no other file, so nothing is left of it where")
+    reports = {}
+    for holes in (True, False):
+        settings = settings_of(large, alone, beside, holes=holes)
+        reports[holes] = run_mosaic_import(settings, tmp_path / f"store{holes}")
+        assert (warning in reports[holes]["warnings"]) == holes
+    field = open_store(tmp_path / "storeTrue")
+    shown = np.argwhere(field.valid)  # the samples of all three files are known
+    assert len(shown) == 1600 + 2 * rows * columns
+    percent = 100.0 * (1.0 - len(shown) / field.samples.size)
+    assert [reports[holes]["missing_percent"] for holes in (True, False)] == pytest.approx([percent, percent], abs=0.01)
+
+
+def test_missing_percent_counts_no_data_inside_files(tmp_path):
+    """By its header one file covers everything, so `gap_percent` is 0 beside a second one."""
+    left, right = (sheet(UTM32, EAST + east, NORTH, 8.0, 8.0, 40, 40) for east in (0.0, 320.0))
+    left.heights[5:25, 10:30] = np.nan
+    files = left.write(tmp_path / "left.tif"), right.write(tmp_path / "right.tif")
+    report = run_mosaic_import(settings_of(*files, holes=True), tmp_path / "store")
+    assert report["gap_percent"] == 0.0 and report["cut_out"] == 400
+    assert report["missing_percent"] == pytest.approx(100.0 * 400 / (80 * 40), abs=0.01)

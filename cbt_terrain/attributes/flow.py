@@ -44,7 +44,8 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
         heights = level_of(field.raster, level, threads)
         if sign != 1.0:  # a negative scale turns the ground upside down, and 0 makes it level
             heights = heights * np.float32(sign)
-        drainage = route(heights, *steps, holes_of_level(field.raster, level), threads)
+        holes = None if field.valid is None else holes_of_level(field.raster, level)
+        drainage = route(heights, *steps, holes, threads)
         filled = drainage.filled()  # the ground, with lakes up to their outlets
         area = drainage.areas(filled)
         drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet

@@ -3,14 +3,17 @@
 
 Level 0 is the raster's samples, mapped or coded. The coarser levels are float32, a third as many samples; those of a
 large raster are cached in its store, and mapped. A level of a raster of any size ends with the sample at or beyond the
-border.
+border. On each level missing samples beside ground continue its slopes, as in the raster (field/continued_slopes.py).
 """
 
+import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..field import codes
+from ..field.continued_slopes import continue_slopes
 from ..field.derived_arrays import derive_cached_if_large, derived_shapes, samples_by_level
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
@@ -22,7 +25,8 @@ if TYPE_CHECKING:
     from ...kernels.effects import pyramid as kernels
 
 # Name of the array in the store, and prefix of those of layers.
-PYRAMID = "pyramid"
+PYRAMID, BESIDE_HOLES = "pyramid", "pyramid_ground_beside_holes"
+CONTINUED = 2  # samples
 
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
@@ -62,8 +66,23 @@ def _coarser_levels(raster: HeightRaster, threads: int, name: str) -> np.ndarray
             rows, columns = samples_by_level(raster.lattice)[level]
             inputs = [packed, level, packed.coarser]
             launch.spread(kernels.halve_level, rows, inputs, step="prefilter", threads=threads, cost=columns)
+            _continue_slopes(raster, level, arrays[name])
 
-    return derive_cached_if_large(raster, {name: derived_shapes(raster.lattice)[PYRAMID]}, halve)[name]
+    # Earlier versions computed those of rasters with holes otherwise, under the name that all others keep.
+    name, shapes = name if raster.valid is None else BESIDE_HOLES, derived_shapes(raster.lattice)
+    return derive_cached_if_large(raster, {name: shapes[PYRAMID]}, halve)[name]
+
+
+def _continue_slopes(raster: HeightRaster, level: int, coarser: np.ndarray) -> None:
+    """Continue the slopes of ground into missing samples of a level, in place. coarser: all levels, concatenated.
+
+    A cell that is ground only in part may need samples up to CONTINUED steps from the ground.
+    """
+    if raster.valid is not None:
+        sizes = samples_by_level(raster.lattice)[: level + 1]
+        first = sum(rows * columns for rows, columns in sizes[1:-1])
+        heights = coarser[first : first + math.prod(sizes[-1])].reshape(sizes[-1])
+        continue_slopes(lambda: heights, partial(holes_of_level, raster, level), sizes[-1], CONTINUED)
 
 
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
@@ -77,14 +96,14 @@ def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     return raster.cache.pyramid[0][first : first + rows * columns].reshape(rows, columns)
 
 
-def holes_of_level(raster: HeightRaster, level: int) -> np.ndarray | None:
-    """Return which samples of a level are missing, bool [rows, columns]; None for a raster without holes."""
-    if raster.valid is None:
-        return None
-    holes = raster.valid[:: 2**level, :: 2**level] == 0
+def holes_of_level(raster: HeightRaster, level: int, rows: slice = slice(None)) -> np.ndarray:
+    """Return which samples of some rows of a level are missing, bool [rows, columns]. raster: one with holes."""
+    assert raster.valid is not None
+    valid, (count, columns) = raster.valid[:: 2**level, :: 2**level], samples_by_level(raster.lattice)[level]
+    first, end, _ = rows.indices(count)
+    holes = valid[min(first, len(valid) - 1) : end] == 0
     # A level may end beyond the border.
-    rows, columns = samples_by_level(raster.lattice)[level]
-    return np.pad(holes, ((0, rows - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
+    return np.pad(holes, ((0, end - first - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
 
 
 def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> "kernels.Pyramid":

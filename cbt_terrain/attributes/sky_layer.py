@@ -83,7 +83,7 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
-            (rows, columns), missing = heights.shape, holes_of_level(field.raster, level)
+            (rows, columns), missing = heights.shape, _missing(field, level)
             azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
             sweep(heights, steps, azimuth, scale, threads, horizons, missing=missing)
             # Removed while the kernel adds: a process forked meanwhile sees no half-added sums and starts again.
@@ -132,6 +132,11 @@ def _file_of(field: HeightField, scale: float) -> str:
     return result_file(LAYER, VERSION, (scale,) if field.valid is None else (scale, "holes", HOLES_VERSION))
 
 
+def _missing(field: HeightField, level: int) -> np.ndarray | None:
+    """Return which samples of a level are missing, bool [rows, columns]; None for a raster without holes."""
+    return None if field.valid is None else holes_of_level(field.raster, level)
+
+
 def _fill_holes(values: np.ndarray, missing: np.ndarray | None, threads: int) -> None:
     """Give missing samples the value of the nearest known one, in place. missing: bool like values, None without any.
 
@@ -155,7 +160,7 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
-            missing = holes_of_level(field.raster, level)
+            missing = _missing(field, level)
             horizons = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
             for azimuth, out in zip(azimuths(), horizons, strict=False):
                 sweep(heights, steps, azimuth, scale, threads, out, missing=missing)

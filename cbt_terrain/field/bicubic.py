@@ -127,13 +127,16 @@ def _numbers(field: HeightField, threads: int) -> list[float]:
     """Return the first six of `numbers_c`: range base and step, lowest and highest height, largest slope along x and y.
 
     A stored height n of a range stands for base + n step metres. Heights (metres) and slopes are bounds from control
-    heights; those of slopes are rounded up.
+    heights; those of slopes are rounded up. Holes do not count for heights.
     """
     lattice = field.lattice
     rows = lattice.cells_y
     extents = np.zeros((rows, 4))  # by row of cells: lowest and highest height, largest climb along x and y
+    valid = np.ones(1, np.uint8) if field.valid is None else field.valid
     inputs = [
         codes.pack_samples(field.samples, field.steps),
+        int(field.valid is not None),
+        flat(valid, wp.uint8),
         wp.array(extents, dtype=wp.vec4d, device=launch.DEVICE, copy=False),
     ]
     bicubic_errors.launch_step(kernels.extents, rows, inputs, threads, 10.0 * lattice.cells_x)

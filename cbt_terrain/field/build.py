@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..run import launch
 from . import cleaning, codes, hierarchy
+from .continued_slopes import continue_slopes
 from .heightfield import HeightField, HeightRaster
 from .holes import holes_leave_ground, refine_borders
 from .lattice import Lattice, lattice_for
@@ -78,6 +79,8 @@ def build(
 ) -> HeightField:
     """Build a height field: fill missing samples, and compute the error hierarchy and the ranges.
 
+    Samples in holes continue the slopes of ground beside them.
+
     Args:
         samples: float32 [rows, columns] metres, row 0 south, at least 2 x 2, NaN where missing; filled in place.
         step_x, step_y: metres between samples.
@@ -108,6 +111,8 @@ def build(
         cleaning.fill_missing(samples, threads)
     on_progress(0.2)
     low, high = float(samples.min()), float(samples.max())
+    if valid is not None:
+        continue_slopes(lambda: samples, lambda rows: valid[rows] == 0, samples.shape)
     climb_x, climb_y = hierarchy.climbs(samples)  # largest differences between neighbours, for slopes
     # The heights below each diamond, as 16-bit codes: base + code * step metres.
     base, step = hierarchy.range_scale(low, high)

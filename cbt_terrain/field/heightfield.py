@@ -153,7 +153,7 @@ class HeightField:
         exponents: powers of two that multiply the table of codes for each group of depths (codes.py).
         ranges: uint16 [lattice.range_count, 2] of diamonds of 4 x 4 cells and more, without the detail: heights from
             range_base + q * range_step metres; for a bicubic surface those of the raster's cells follow.
-        min_height, max_height: limits of the surface, metres, with the detail.
+        min_height, max_height: limits of the surface outside of holes, metres, with the detail.
         steepest_x, steepest_y: largest slopes of the surface along each axis, with finer tiles and without the detail.
         source_max: largest distance, metres, by which the rounding of the source has moved the surface.
         bicubic_finer: the finer tiles of a bicubic surface (finer_bicubic.py).

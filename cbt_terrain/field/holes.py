@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Holes: the cells of a raster with a missing sample, which are cut out of the mesh.
 
-Missing samples are filled as usual; `valid` marks them. The fill is no ground, so errors do not count there (`measured`
-of hierarchy.py). A triangle on the border of a hole shows the border in the wrong position, by at most its longest
-edge. That length is its error, so the border is refined like everything else, down to the sides of the raster's cells.
-It is a horizontal length that counts as a vertical one, and scales with the heights.
+Missing samples are filled as usual; `valid` marks them. Those beside ground then continue its slopes, so that normals
+and a bicubic surface at the border of a hole are those of the ground alone. The fill is no ground: errors do not count
+there (`measured` of hierarchy.py), and limits of heights leave it out.
+
+A triangle on the border of a hole shows the border in the wrong position, by at most its longest edge. That length is
+its error, so the border is refined like everything else, down to the sides of the raster's cells. It is a horizontal
+length that counts as a vertical one, and scales with the heights.
 """
 
 from functools import partial

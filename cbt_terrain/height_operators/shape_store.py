@@ -39,6 +39,7 @@ from .tiles import Wanted, levels_of, whole_land
 # Fraction of the progress bar for the operators; the rest is for measuring errors.
 SHAPING = 0.8
 ROWS = 256
+HOLES = 1  # raised if the same land with holes gives a different store
 RECORD = 1  # version of the provenance; raising it rebuilds older land
 ADDED_KEYS = {"max_m": "most_m", "pieces": "made"}  # names of attributes of Added in the provenance, where they differ
 BUILDING, FINER = "Measuring errors", "Shaping finer tiles"
@@ -146,7 +147,8 @@ def shape_digest(heights: HeightField, stack: Stack, wanted: Wanted | None) -> s
     tiles = None
     if wanted is not None:
         tiles = [None if pairs is None else sorted((t, float(m)) for t, m in pairs.items()) for pairs in wanted]
-    content = METHOD, RECORD, store.VERSION, heights.raster.digest, stack.key(), tiles
+    holes = [] if heights.valid is None else [HOLES]
+    content = METHOD, RECORD, store.VERSION, heights.raster.digest, stack.key(), tiles, *holes
     return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 

@@ -19,6 +19,7 @@ from .source_list import absolute_source, file_stat, files_of, may_name_several,
 
 METHOD = 2  # increased when the same source gives a different store
 RESAMPLING = 1  # increased when the same reprojected file gives a different store
+HOLES = 1  # increased when the same file with holes cut out gives a different store
 MASKS = 1  # increased when the same mask beside a file (.msk) gives a different store
 # Settings that older versions lack. A digest has only their other values, so that it is that of an older version.
 ADDED_SETTINGS = (
@@ -102,6 +103,7 @@ def source_digest(
         if field.name in ADDED_SETTINGS and values[field.name] == field.default:
             del values[field.name]
     parts = [METHOD, store.VERSION, values, *([method] if method else [])]  # what the digest is of, as JSON
+    parts += [{"holes": HOLES}] if settings.holes else []
     if names_several(settings):  # a mosaic, whose `sources` have the further files of its tiles
         for file in [*files_of(settings), *sources]:
             check_named(file)

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..field import cleaning, codes, hierarchy
+from ..field.continued_slopes import continue_slopes
 from ..field.digests import digest_of
 from ..field.holes import longest_edge
 from ..field.lattice import Lattice
@@ -65,14 +66,23 @@ def limits_of(work: TileWork) -> TerrainLimits:
 
 
 def fill(work: TileWork, threads: int) -> None:
-    """Fill all missing samples with the nearest valid one, in the work's arrays; they stay marked as missing."""
-    lattice = work.grid.lattice
-    cleaning.fill_rows(
-        lambda: work.open("samples"),
-        lambda rows: work.open("missing")[rows] > 0,
-        (lattice.height, lattice.width),
-        threads,
-    )
+    """Fill all missing samples with the nearest valid one, in the work's arrays; they stay marked as missing.
+
+    If they are cut out, those beside ground continue its slopes.
+    """
+    shape = work.grid.lattice.height, work.grid.lattice.width
+
+    def samples() -> np.ndarray:
+        """Map the samples."""
+        return work.open("samples")
+
+    def missing_in(rows: slice) -> np.ndarray:
+        """Return which samples of some rows are missing, bool."""
+        return work.open("missing")[rows] > 0
+
+    cleaning.fill_rows(samples, missing_in, shape, threads)
+    if work.holes:
+        continue_slopes(samples, missing_in, shape)
 
 
 def measure(

@@ -16,6 +16,7 @@ import warp as wp
 
 from ..field.codes import Samples, height_at
 from ..field.hierarchy import round_up
+from ..field.holes import is_whole
 from ..field.layout import Depth, entry
 from ..field.ranges import quantise_down, quantise_up
 from ..unchecked import put
@@ -141,10 +142,13 @@ def patch_range(a: vec12d, b: vec12d, c: vec12d, d: vec12d) -> wp.vec2d:
 
 
 @wp.kernel
-def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
+def extents(
+    offset: int, raster: Samples, holed: int, valid: wp.array(dtype=wp.uint8), limits: wp.array(dtype=wp.vec4d)
+):
     """Write to limits[offset + tid] the limits of a row of cells, which bound the bicubic surface there.
 
-    They are the lowest and highest control height, metres, and the steepest slopes east and north, metres a cell.
+    They are the lowest and highest control height outside of holes, metres, and the steepest slopes east and north,
+    metres a cell. holed: 0 without holes. valid: 0 at missing samples; unused without holes.
     """
     cy = offset + wp.tid()
     low = wp.float64(wp.inf)
@@ -156,9 +160,13 @@ def extents(offset: int, raster: Samples, limits: wp.array(dtype=wp.vec4d)):
     c = column(raster, 1, cy)
     for cx in range(raster.columns - 1):
         d = column(raster, cx + 2, cy)
-        z = patch_range(a, b, c, d)
-        low = wp.min(low, z[0])
-        high = wp.max(high, z[1])
+        is_ground = holed == 0
+        if not is_ground:
+            is_ground = is_whole(valid, raster.columns, cx, cy)
+        if is_ground:
+            z = patch_range(a, b, c, d)
+            low = wp.min(low, z[0])
+            high = wp.max(high, z[1])
         for k in range(4):  # heights
             steep_x = max_of_3(steep_x, slopes(across(a, b, c, d, k)))
         for k in range(4, 7):  # slopes to the north

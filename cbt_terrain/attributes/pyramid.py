@@ -80,7 +80,7 @@ def _continue_slopes(raster: HeightRaster, level: int, coarser: np.ndarray) -> N
     """
     if raster.valid is not None:
         sizes = samples_by_level(raster.lattice)[: level + 1]
-        first = sum(rows * columns for rows, columns in sizes[1:-1])
+        first = sum(int(rows * columns) for rows, columns in sizes[1:-1])
         heights = coarser[first : first + math.prod(sizes[-1])].reshape(sizes[-1])
         continue_slopes(lambda: heights, partial(holes_of_level, raster, level), sizes[-1], CONTINUED)
 

@@ -23,6 +23,7 @@ from .tiles import Level, Window
 
 # Raise it when results change although no operator's version does.
 METHOD = 6
+HOLES = 1  # likewise, for results on land with holes alone
 Report = Callable[[float], None]
 # The arrays of a change (`num_arrays`), each float32 [rows, columns].
 Arrays = Sequence[np.ndarray] | np.ndarray
@@ -178,11 +179,12 @@ def _result_key(entry: Entry, ground: OperatorGround, coarser: np.ndarray | None
     """
     effect = entry.declaration
     method = METHOD, kind, key_name(effect.name), effect.version, sorted(entry.values.items()), ground.seed
+    holes = () if ground.missing is None else (HOLES,)
     position = ground.first, ground.whole, ground.level, ground.step_x, ground.step_y, ground.size, ground.target
     mask = ground.mask if effect.masks else None  # the caller applies the mask of other operators to the result
     arrays = [ground.heights, ground.missing, mask, coarser]
     layers = [item for name in sorted(ground.layers) for item in (name, ground.layers[name])]
-    return compute_digest(method, position, *arrays, *layers)
+    return compute_digest((*method, *holes), position, *arrays, *layers)
 
 
 def within(inner: Window, outer: Window) -> Window:

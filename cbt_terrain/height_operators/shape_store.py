@@ -27,7 +27,7 @@ from ..importing.placing import rotation_of
 from ..run import launch
 from .finer_land import not_finite, raster_part, with_shaped_tiles
 from .level_plan import MAX_WHOLE
-from .level_work import METHOD
+from .level_work import HOLES, METHOD
 from .mask_image import load_image
 from .shape import Shaped, shape
 from .shaping import Added
@@ -39,7 +39,6 @@ from .tiles import Wanted, levels_of, whole_land
 # Fraction of the progress bar for the operators; the rest is for measuring errors.
 SHAPING = 0.8
 ROWS = 256
-HOLES = 1  # raised if the same land with holes gives a different store
 RECORD = 1  # version of the provenance; raising it rebuilds older land
 ADDED_KEYS = {"max_m": "most_m", "pieces": "made"}  # names of attributes of Added in the provenance, where they differ
 BUILDING, FINER = "Measuring errors", "Shaping finer tiles"

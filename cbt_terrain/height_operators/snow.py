@@ -79,8 +79,8 @@ def _snowfall(ground: OperatorGround, values: Mapping[str, float]) -> tuple[np.n
 
         `first` places the tile in the level, so that lines of sight are the same ones in every tile.
         """
-        steps = ground.step_x, ground.step_y
-        sweep(heights, steps, azimuth, scale=1.0, threads=ground.threads, out=horizon, first=ground.first)
+        steps, first, holes = (ground.step_x, ground.step_y), ground.first, ground.missing
+        sweep(heights, steps, azimuth, scale=1.0, threads=ground.threads, out=horizon, first=first, missing=holes)
         return horizon
 
     # Fraction of the sky that is seen, the mean over AZIMUTHS evenly spread directions.

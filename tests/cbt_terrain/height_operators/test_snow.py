@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Snow: a plain reference with horizons by brute force, slides, tiles and levels."""
 
+import itertools
 import math
 
 import numpy as np
@@ -180,3 +181,19 @@ def test_a_tile_with_its_halo_is_nearly_the_whole(first):
     moved = np.sqrt(((whole - up.layers["snow"])[place] ** 2).mean())
     off = np.sqrt(((tile[inner, inner] - whole[place]) ** 2).mean())
     assert off < 0.05 * moved
+
+
+@pytest.mark.parametrize("first", [(0, 0), (37, 90)])
+def test_what_fills_a_hole_shelters_no_snow(first):
+    """A tower in a hole, whose fill no mesh shows, changes no depth two samples away from the hole."""
+    y, x = np.mgrid[:70, :90].astype(np.float32)
+    heights = 1500.0 + 30.0 * np.sin(x / 9.0) * np.cos(y / 7.0)
+    missing = np.hypot(x - 40, y - 33) < 12
+    near = np.hypot(x - 40, y - 33) < 15
+    depths = {}
+    for height, holes in itertools.product((0.0, 900.0), (missing, None)):
+        land = np.where(missing, heights + np.float32(height), heights)
+        ground = OperatorGround(land, 20.0, 30.0, first=first, missing=holes, whole=(200, 200))
+        depths[height, holes is None] = snow.SNOW.apply(ground, VALUES | {"wind": 200.0}, None).layers["snow"][~near]
+    assert np.array_equal(depths[0.0, False], depths[900.0, False])
+    assert abs(depths[0.0, True] - depths[900.0, True]).max() > 0.05

@@ -153,3 +153,15 @@ def count_same_floats(
 ) -> wp.int32:
     """Return how many items from a[i] on equal those from b[j] on, at most `max_count`; NaN equals no item."""
     ...
+
+
+@wp.func_native("__builtin_memmove(out.data + at, source.data + first, count * sizeof(float));")
+def move_items(
+    source: wp.array(dtype=wp.float32),
+    first: wp.int64,
+    count: wp.int32,
+    out: wp.array(dtype=wp.float32),
+    at: wp.int64,
+):
+    """Copy `count` items from source[first] on to out[at] on. The two parts may overlap."""
+    ...

@@ -31,10 +31,6 @@ from .values import EffectValues, ValueSource
 KERNELS = footprint_kernels, keep_kernels
 
 Group = list[AttributeRequest]  # attributes of one call
-# Limit of the bytes of one terrain's values, those of the last surface included. The values of this surface are always
-# held, since the mesh is written from them.
-MAX_BYTES = 1 << 28
-NUMBER = 4  # bytes of a number, float32
 ANY_LEVEL = "ANY_LEVEL"  # in place of a family: of attributes without a scale, whose values depend on no level
 BAND = 1 << 18  # samples that are evaluated together
 
@@ -96,13 +92,11 @@ def evaluate(
     request: EffectRequest,
     history: FrameHistory,
     threads: int = 1,
-    max_bytes: int = MAX_BYTES,
 ) -> Evaluated:
     """Evaluate attributes on a surface; points of the last surface reuse its values.
 
     Values are functions of a point, a level, parameters and heights alone, so that the bytes do not depend on the
-    history. `history`: owns the values of the last surface; another thread that evaluates with it waits. `max_bytes`:
-    limit of values and caches together; values of the last surface are dropped to keep it.
+    history. `history`: owns the values of the last surface; another thread that evaluates with it waits.
     """
     with history.alone():
         values, history.values = history.values, None  # discarded if this is interrupted
@@ -113,7 +107,7 @@ def evaluate(
         ran = {step.name: Ran(ms=0.0, nbytes=0, computed=0) for step in request.plan.steps}
         if request.surface is not last.surface() or request_key != last.request:
             step_keys = _keys_of_steps(request, heights)
-            results = _evaluate_steps(heights, request, values, step_keys, max_bytes, ran)
+            results = _evaluate_steps(heights, request, values, step_keys, ran)
             names = request.plan.attributes
             attributes = {name: Attribute(results[name], POINTS, ATTRIBUTES[name].unit) for name in names}
             values.source = ValueSource(weakref.ref(request.surface), request_key, step_keys, attributes)
@@ -126,14 +120,13 @@ def _evaluate_steps(
     request: EffectRequest,
     values: EffectValues,
     step_keys: dict[str, tuple],
-    max_bytes: int,
     ran: dict[str, Ran],
 ) -> dict[str, np.ndarray]:
     """Return the values of all steps by name, and record their costs in `ran`.
 
     heights: field that attributes read. request: the plan of steps, the surface and its views. values: arrays of the
     last surface (`values.source`), moved to this one. step_keys: what each step's values depend on, except the surface;
-    while it is unchanged, values of the last surface are reused. max_bytes: limit of values and caches together.
+    while it is unchanged, values of the last surface are reused.
     """
     steps, last = request.plan.steps, values.source  # `last.keys`: by step, the key of its values of the last surface
     # Points with their levels, and indices of new points, by family.
@@ -141,10 +134,7 @@ def _evaluate_steps(
     if not all(ATTRIBUTES[step.name].scaled for step in steps):
         fresh[ANY_LEVEL] = values.new_points()
     nonzero = [step for step in steps if not ATTRIBUTES[step.name].is_nothing(step.parameters)]
-    # Attributes whose values of the last surface are freed, so that the others fit: computed at all points.
-    dropped = _choose_dropped(nonzero, len(request.surface.positions), max_bytes)
-    values.forget(dropped)
-    reused = {step.name for step in nonzero if last.keys.get(step.name) == step_keys[step.name]} - dropped
+    reused = {step.name for step in nonzero if last.keys.get(step.name) == step_keys[step.name]}
     # By name, the indices of the points to compute; None, which is all points, where nothing is reused. Attributes that
     # are not `scaled` depend on no level, so only points that the last surface lacks are new for them.
     to_compute = {step.name: fresh[step.family if ATTRIBUTES[step.name].scaled else ANY_LEVEL] for step in nonzero}
@@ -155,10 +145,10 @@ def _evaluate_steps(
         results[step.name] = values.zeros(ATTRIBUTES[step.name].width)
     for group in _group_steps(nonzero, reused):
         start = time.perf_counter()
-        computed = _complete_group(group, points[group[0].family], to_compute[group[0].name], results, values, dropped)
+        computed = _complete_group(group, points[group[0].family], to_compute[group[0].name], results, values)
         ms = (time.perf_counter() - start) * 1e3 / len(group)
         ran |= {step.name: Ran(ms, results[step.name].nbytes, computed) for step in group}
-    values.forget_others({*to_compute, *points})  # the levels of points are stored by family, too
+    values.forget_others({*to_compute}, {*points})
     return results
 
 
@@ -171,11 +161,11 @@ def _locate_points(
     lacks them or has them at another level; None in place of indices: so many are new that all points are computed.
     request: the surface, its views and the plan. `values`, those of the last surface, move to this one.
     """
-    scaling, positions = (request.vertical_scale, request.vertical_offset), values.move_to(request.surface.positions)
+    scaling, positions = (request.vertical_scale, request.vertical_offset), request.surface.positions
+    values.move_to(positions)
     points, fresh = {}, {}
     for family in sorted({step.family for step in request.plan.steps}):
-        # Levels are stored like an attribute with the family's name.
-        levels, last_levels = values.swap_arrays(family)
+        levels, last_levels = values.swap_levels(family)
         if family == GEOMETRY:
             levels[:] = fixed_level(heights, request.geometry_metres)
             limit_levels(heights, positions, levels, values.threads)
@@ -229,24 +219,6 @@ def on_samples(
         levels = np.full(z.size, level, np.float32)
         points = SamplePoints(field, positions.reshape(-1, 3), levels, vertical_scale, vertical_offset, threads)
         yield rows, {name: v.reshape(*z.shape, *v.shape[1:]) for name, v in values_at(points, requests).items()}
-
-
-def _choose_dropped(steps: Sequence[AttributeRequest], count: int, max_bytes: int) -> set[str]:
-    """Return the names of attributes whose last values are dropped, so that those of `count` points fit `max_bytes`.
-
-    Those that are cheapest to compute for their size are dropped first. steps: requests for all attributes in the order
-    of their computation.
-    """
-    effects = [ATTRIBUTES[step.name] for step in steps]
-    # Always held, in numbers of NUMBER bytes: two copies of the points and of the levels of both families, and the
-    # values of this surface.
-    bytes_left = max_bytes - NUMBER * count * (2 * (3 + 2) + sum(int(effect.width) for effect in effects))
-    dropped = set()
-    for effect in sorted(effects, key=lambda effect: (-effect.cost_ns / effect.width, effect.name)):
-        bytes_left -= NUMBER * count * effect.width
-        if bytes_left < 0:
-            dropped.add(effect.name)
-    return dropped
 
 
 def _keys_of_steps(request: EffectRequest, heights: HeightField) -> dict[str, tuple]:
@@ -309,18 +281,16 @@ def _complete_group(
     which: np.ndarray | None,
     results: dict[str, np.ndarray],
     values: EffectValues,
-    dropped: set[str],
 ) -> int:
     """Compute a group's values at the points that lack them, into `results`; return the number of these points.
 
     which: indices of the points to compute, where `results` has the others from the last surface; None for all. values:
-    stores whole arrays for the next surface. dropped: names of the attributes whose values of the last surface are
-    dropped, to keep memory bounded.
+    stores whole arrays for the next surface.
     """
     read = {name: results[name] for step in group for name in ATTRIBUTES[step.name].reads_with(step.parameters)}
     if which is None:
         for name, array in _compute_group(group, points, read).items():
-            values.put(name, array, drop_last=name in dropped)
+            values.put(name, array)
             results[name] = array
         return len(points)
     if len(which):

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Values of attributes for a surface and for the last one, in two sets of arrays that alternate.
+"""Values of attributes for a surface, which those of the last one become.
 
-An array is stored under the name of its attribute; the points are one of them, and so are their levels. Points that
-both surfaces have are found as runs of consecutive ones: values there are copied.
+An array is stored under the name of its attribute. Points that both surfaces have are found as runs of consecutive
+ones: values there move to their new places in the same array.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from weakref import ref
 
 import numpy as np
@@ -19,7 +18,6 @@ from ..mesh.surface import Surface
 from ..run import launch
 from ..run.buffers import flat, shared
 
-PLACES = "places"  # name of the points' array, float32 [V, 3], among those of attributes and levels
 MAX_FRESH = 0.75  # fraction of points to compute above which computing all is faster
 
 
@@ -34,16 +32,19 @@ class ValueSource:
 
 
 class EffectValues:
-    """Points of this surface and of the last one, their common points, and the values of attributes there.
+    """Points of a surface, those that it has in common with the last one, and the values of attributes there.
 
     A frame history owns it.
     """
 
     def __init__(self, threads: int) -> None:
-        """Start without points; `threads` copy and compare them."""
+        """Start without points; `threads` copy values."""
         self.threads = threads
         self.source = ValueSource()  # of the values
-        self._arrays: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}  # of this surface, of the last one
+        self._positions = np.empty((0, 3), np.float32)  # points of this surface
+        self._arrays: dict[str, np.ndarray] = {}  # values of attributes, maybe with room for more points
+        # Levels of the points of this surface and of the last one, by family; maybe with room for more points.
+        self._levels: dict[str, tuple[np.ndarray, np.ndarray | None]] = {}
         self._count = self._last_count = 0  # points of this surface and of the last one
         self._zeros: dict[int, np.ndarray] = {}  # for `zeros`, by width
         # Runs of points of both surfaces: first point in this one, first in the last one, count.
@@ -51,53 +52,57 @@ class EffectValues:
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of all arrays."""
-        return sum(array.nbytes for pair in self._arrays.values() for array in pair if array is not None)
+        """Return the bytes of all values and levels."""
+        levels = [array for pair in self._levels.values() for array in pair if array is not None]
+        return sum(array.nbytes for array in [*self._arrays.values(), *levels])
 
-    def move_to(self, positions: np.ndarray) -> np.ndarray:
+    def move_to(self, positions: np.ndarray) -> None:
         """Start another surface with these points, float32 [V, 3]; the present one becomes the last one.
 
-        Return a copy of the points, which is valid until the second next call.
+        They are compared with those of the next surface, so an array that may be written is copied.
         """
-        self._last_count, self._count = self._count, len(positions)
-        copied, last = self.swap_arrays(PLACES, 3)
-        launch.together([partial(np.copyto, copied[a:b], positions[a:b]) for a, b in self._point_ranges()])
-        self._runs = np.empty((0, 3), np.int32) if last is None else _match_runs(copied, last)
-        return copied
+        last, self._last_count, self._count = self._positions, self._count, len(positions)
+        self._positions = positions.copy() if positions.flags.writeable else positions
+        self._runs = _match_runs(self._positions, last)
 
-    def swap_arrays(self, name: str, width: int = 1) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return an uninitialized array for this surface, float32 [V] or [V, width], and the last one's, or None.
+    def swap_levels(self, family: str) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return an uninitialized array for the points' levels, float32 [V], and that of the last surface or None.
 
-        Call it once a surface for each name. The new array has the memory of the surface before the last, if it is
+        Call it once a surface for each family. The new array has the memory of the surface before the last, if it is
         large enough.
         """
-        last, spare = self._arrays.get(name, (None, None))  # those of this surface and the last before the swap
-        if spare is None or len(spare) < self._count:
-            room = int(1.25 * self._count)  # so that small growth of the mesh allocates nothing
-            spare = np.empty((room, width) if width > 1 else room, np.float32)
-        self._arrays[name] = spare, last
+        last, spare = self._levels.get(family, (None, None))  # those of this surface and the last before the swap
+        spare = spare if spare is not None and len(spare) >= self._count else self._with_room(1)
+        self._levels[family] = spare, last
         return spare[: self._count], None if last is None else last[: self._last_count]
 
-    def put(self, name: str, values: np.ndarray, drop_last: bool = False) -> None:
-        """Store the complete array of an attribute on this surface.
-
-        The array that `name` had before belongs to the last surface. It is kept beside the new one, so that values can
-        be reused. drop_last: do not keep it.
-        """
-        self._arrays[name] = values, None if drop_last else self._arrays.get(name, (None, None))[0]
+    def put(self, name: str, values: np.ndarray) -> None:
+        """Store the complete array of an attribute on this surface, in place of the last surface's."""
+        self._arrays[name] = np.require(values, np.float32, ["C", "W"])  # `reuse` writes into it
 
     def reuse(self, widths: Mapping[str, int]) -> dict[str, np.ndarray]:
-        """Return new arrays by name, float32 [V] or [V, width], with the values of points that the last surface has.
+        """Return arrays by name, float32 [V] or [V, width], with the values of points that the last surface has.
 
-        Values of other points are uninitialized. widths: numbers for each point, by name of the attribute.
+        Values of other points are undefined. The arrays are those of the last surface, except where they are too small
+        or points changed their order. widths: numbers for each point, by name of the attribute.
         """
-        swapped = {name: self.swap_arrays(name, width) for name, width in widths.items()}
-        pairs = [_pair(values, last, widths[name]) for name, (values, last) in swapped.items() if last is not None]
-        if len(self._runs) and pairs:
-            arrays = [shared(self._runs, wp.vec3i), len(self._runs)]
-            arrays.append(wp.array(pairs, dtype=kernels.Pair, device=launch.DEVICE))
-            launch.slices(kernels.copy_runs, [[a, b, *arrays] for a, b in self._point_ranges()], step="kept")
-        return {name: values for name, (values, _) in swapped.items()}
+        ends = self._runs[:, 1] + self._runs[:, 2]  # of each run in the last surface
+        keeps_order = (self._runs[1:, 1] >= ends[:-1]).all()
+        last = {name: self._arrays[name] for name in widths}
+        for name, width in widths.items():
+            if not keeps_order or len(last[name]) < self._count:
+                self._arrays[name] = self._with_room(width)
+        if len(self._runs) and widths:
+            rows = [(last[name].ctypes.data, self._arrays[name].ctypes.data, width) for name, width in widths.items()]
+            inputs = [shared(self._runs, wp.vec3i), len(self._runs), shared(np.array(rows, np.int64), wp.int64)]
+            cost = 0.1 * self._count
+            launch.spread(kernels.move_runs, len(rows), inputs, step="kept", threads=self.threads, cost=cost)
+        return {name: self._arrays[name][: self._count] for name in widths}
+
+    def _with_room(self, width: int) -> np.ndarray:
+        """Return an uninitialized array for the values of this surface, with room for some more points."""
+        room = int(1.25 * self._count)
+        return np.empty((room, width) if width > 1 else room, np.float32)
 
     def zeros(self, width: int) -> np.ndarray:
         """Return zeros, float32 [V, width], for reading only; unwritten pages take no memory."""
@@ -130,28 +135,10 @@ class EffectValues:
         np.subtract.at(change, self._runs[:, 0] + self._runs[:, 2], 1)
         return np.flatnonzero(np.cumsum(change[:-1], dtype=np.int8) == 0).astype(np.int32)
 
-    def forget(self, names: set[str]) -> None:
-        """Drop these arrays of both surfaces."""
-        self._arrays = {name: pair for name, pair in self._arrays.items() if name not in names}
-
-    def forget_others(self, names: set[str]) -> None:
-        """Drop all arrays except the points and these."""
-        self._arrays = {name: pair for name, pair in self._arrays.items() if name in names or name == PLACES}
-
-    def _point_ranges(self) -> list[tuple[int, int]]:
-        """Return ranges of points, one for each thread that is worth its start."""
-        pieces = max(1, min(self.threads, self._count // launch.SLICE_ITEMS))
-        return launch.ranges(self._count, pieces)
-
-
-def _pair(values: np.ndarray, last: np.ndarray, width: int) -> kernels.Pair:
-    """Return the arrays of an attribute on this and the last surface, for the kernel that copies values.
-
-    values: of this surface. width: numbers for each point.
-    """
-    pair = kernels.Pair()
-    pair.last, pair.values, pair.width = flat(last, wp.float32), flat(values, wp.float32), width
-    return pair
+    def forget_others(self, names: set[str], families: set[str]) -> None:
+        """Drop all values except those of attributes with these names, and the levels of all other families."""
+        self._arrays = {name: array for name, array in self._arrays.items() if name in names}
+        self._levels = {family: pair for family, pair in self._levels.items() if family in families}
 
 
 def _match_runs(positions: np.ndarray, last: np.ndarray) -> np.ndarray:

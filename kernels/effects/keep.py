@@ -9,10 +9,11 @@ metres; `last`, `last_count`: the last surface's points and their number.
 import warp as wp
 
 from ..field.noise import scramble
-from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
+from ..unchecked import count_same_floats, count_same_vec3s, item_at, move_items, put
 
 # Initial balance of `match_anywhere`, 5 for each of 51 sampled points without a match: up to 3,000 points are searched.
 ALWAYS = wp.constant(256)
+MAX_ITEMS = wp.constant(2147483647)  # of an array at an address: its length is not known
 LOOK = wp.constant(32)  # points of both surfaces together that may be skipped to find the next run
 
 
@@ -171,40 +172,20 @@ def list_fresh(
     found[0] = n
 
 
-@wp.struct
-class Pair:
-    """Values of one quantity of the last surface and of this one, `width` numbers for a point."""
-
-    last: wp.array(dtype=wp.float32)
-    values: wp.array(dtype=wp.float32)
-    width: wp.int32
-
-
 @wp.kernel
-def copy_runs(
-    first: int,
-    end: int,
-    runs: wp.array(dtype=wp.vec3i),
-    run_count: int,
-    pairs: wp.array(dtype=Pair),
-):
-    """Copy the last surface's values of all quantities to points first .. end - 1 that are in a run.
+def move_runs(offset: int, runs: wp.array(dtype=wp.vec3i), run_count: int, quantities: wp.array2d(dtype=wp.int64)):
+    """Copy the last surface's values of quantity `offset + tid` to the points of this surface that are in a run.
 
-    runs: (first point, first point of the last surface, count); the first `run_count` entries. pairs: for each quantity
-    its last values, `width` numbers a point, and those of this surface.
+    runs: (first point, first point of the last surface, count), ascending; the first `run_count` entries. quantities
+    [n, 3]: of each the address of the last surface's float32 values, of this surface's, and the numbers for a point.
+    Both may be the same array if the runs have the same order in both surfaces: runs that move towards the beginning
+    are copied first to last, then the others last to first, so that no value is overwritten before it is copied.
     """
-    for p in range(pairs.shape[0]):
-        pair = pairs[p]
-        for k in range(run_count):
-            run = runs[k]
-            begin = wp.max(run[0], first)
-            stop = wp.min(run[0] + run[2], end)
-            if begin < stop:
-                last_v = run[1] + begin - run[0]
-                copy_items(
-                    pair.last,
-                    wp.int64(last_v) * wp.int64(pair.width),
-                    (stop - begin) * pair.width,
-                    pair.values,
-                    wp.int64(begin) * wp.int64(pair.width),
-                )
+    number = offset + wp.tid()
+    last = wp.array(ptr=wp.uint64(quantities[number, 0]), shape=(MAX_ITEMS,), dtype=wp.float32)
+    values = wp.array(ptr=wp.uint64(quantities[number, 1]), shape=(MAX_ITEMS,), dtype=wp.float32)
+    width = quantities[number, 2]
+    for k in range(2 * run_count):
+        run = runs[wp.where(k < run_count, k, 2 * run_count - 1 - k)]
+        if (run[0] <= run[1]) == (k < run_count):
+            move_items(last, wp.int64(run[1]) * width, run[2] * wp.int32(width), values, wp.int64(run[0]) * width)

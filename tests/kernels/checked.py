@@ -28,6 +28,15 @@ def copy_items(source: wp.array(dtype=Any), first: wp.int64, count: wp.int32, ou
 
 
 @wp.func
+def move_items(
+    source: wp.array(dtype=wp.float32), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.float32), at: wp.int64
+):
+    for k in range(count):
+        n = wp.int64(wp.where(at <= first, k, count - 1 - k))
+        out[at + n] = source[first + n]
+
+
+@wp.func
 def number_row(out: wp.array(dtype=wp.int32), at: wp.int32, count: wp.int32, first: wp.int32, step: wp.int32):
     for k in range(count):
         out[at + k] = first + step * k

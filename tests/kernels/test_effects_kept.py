@@ -29,11 +29,11 @@ def taken(first: np.ndarray, second: np.ndarray, threads: int = 1) -> tuple[list
     """Return reused values of width 1 and 3 at the second surface, and how many were computed anew."""
     kept, found = EffectValues(threads), []
     kept.move_to(first)
-    kept.swap_arrays("level")[0][:] = first[:, 2] > 1500
+    kept.swap_levels("level")[0][:] = first[:, 2] > 1500
     kept.put("one", first[:, 0] * 2 + 1)
     kept.put("three", first * 2 + 1)
     kept.move_to(second)
-    levels, before = kept.swap_arrays("level")
+    levels, before = kept.swap_levels("level")
     levels[:] = second[:, 2] > 1400
     fresh = kept.find_fresh(levels, before)
     both = kept.reuse({"one": 1, "three": 3})

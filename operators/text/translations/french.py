@@ -415,7 +415,6 @@ LABELS = {
         "{} peut ne pas se raccorder entre les tuiles : une roche plus dure peut aider, ou au plus {} valeurs par côté"
     ),
     "{} of {}": "{} sur {}",
-    "{} of {} MB": "{} sur {} MB",
     "{} on all the land": "{} sur tout le terrain",
     "{} points, {}": "{} points, {}",
     "{} readers": "{} lecteurs",

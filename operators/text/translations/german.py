@@ -413,7 +413,6 @@ LABELS = {
         "{} passt an Kachelgrenzen eventuell nicht: härteres Gestein kann helfen, oder höchstens {} Werte je Seite"
     ),
     "{} of {}": "{} von {}",
-    "{} of {} MB": "{} von {} MB",
     "{} on all the land": "{} auf dem ganzen Land",
     "{} points, {}": "{} Punkte, {}",
     "{} readers": "{} Leser",

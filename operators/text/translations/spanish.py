@@ -413,7 +413,6 @@ LABELS = {
         "{} puede no encajar entre teselas: una roca más dura puede ayudar, o {} muestras por lado como máximo"
     ),
     "{} of {}": "{} de {}",
-    "{} of {} MB": "{} de {} MB",
     "{} on all the land": "{} en todo el terreno",
     "{} points, {}": "{} puntos, {}",
     "{} readers": "{} lectores",

@@ -175,29 +175,18 @@ def test_another_field_of_the_same_places_takes_over_nothing():
     assert (evaluator.attributes(EVERY, other, surface)["slope"].array > 0.09).all()
 
 
-def test_values_beyond_the_limit_are_held_once():
-    """With half of the memory that a flight would hold, attributes that are cheap for their size are computed anew,
-    with the same bytes, and the others are reused."""
+def test_values_are_held_once():
+    """They move inside their arrays from frame to frame, with the bytes of a new evaluation."""
     heights, eye = field(), np.array([-900.0, -700.0, 600.0])
-    wanted = plan([AttributeRequest(name, ("x",)) for name in ("slope", "detail_normal", "sun", "sky")])
-    views = [View.look(eye + [k, 0, 0], (0, 0, 0), resolution=(60, 40)) for k in range(4)]
-    terrain = Terrain(heights, 2)
-    surfaces = []
-    evaluators = Evaluations(threads=2), Evaluations(threads=2)
-    for view in views:
-        surfaces.append(terrain.update(Criterion(error_px=0.1), [view]).surface)
-        count = len(surfaces[-1].positions)
-        # Places and levels twice, all values once, and two more numbers: those of the two that are costliest.
-        evaluators[1].max_bytes = 4 * count * (2 * 5 + 6 + 2)
-        one, two = (bytes_of(e.attributes(wanted, heights, surfaces[-1], [view])) for e in evaluators)
-        assert one == two
-    free, limited = evaluators
-    assert all(free.ran[name].computed < count for name in free.ran)
-    assert {name for name, ran in limited.ran.items() if ran.computed < count} == {"sky", "sun"}
-    room = 1.25  # buffers have more than is used
-    assert limited.nbytes <= room * limited.max_bytes < free.nbytes
-    evaluators[1].max_bytes = 0
-    assert bytes_of(limited.attributes(wanted, heights, surfaces[0], views[:1])) == bytes_of(
-        Evaluations().attributes(wanted, heights, surfaces[0], views[:1])
-    )
-    assert all(ran.computed == len(surfaces[0].positions) for ran in limited.ran.values())
+    names = ("slope", "aspect", "detail_normal", "sun", "sky")
+    wanted = plan([AttributeRequest(name, ("x",)) for name in names])
+    terrain, evaluator, most = Terrain(heights, 2), Evaluations(threads=2), 0
+    for step in (0, 1, 2, 3, 2, 40, 41):
+        views = [View.look(eye + [step, 0, 0], (0, 0, 0), resolution=(60, 40))]
+        surface = terrain.update(Criterion(error_px=0.1), views).surface
+        found = evaluator.attributes(wanted, heights, surface, views)
+        assert bytes_of(found) == bytes_of(Evaluations().attributes(wanted, heights, surface, views))
+        assert step == 40 or not step or 0 < evaluator.ran["sky"].computed < len(surface.positions)
+        most = max(most, len(surface.positions))
+        width = sum(item.array.size for item in found.values()) / len(surface.positions)
+        assert evaluator.nbytes <= 1.25 * 4 * most * (width + 2), "all values once, levels twice"

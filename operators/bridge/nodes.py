@@ -10,6 +10,14 @@ def marked_group_node(material, mark: str):
     return next((node for node in nodes if node.type == "GROUP" and node.node_tree and mark in node.node_tree), None)
 
 
+def first_node(tree, kind: str):
+    """Return the first node of a tree of the type `kind`, as ShaderNodeBackground.
+
+    Names differ by language: Blender translates those of new nodes.
+    """
+    return next(node for node in tree.nodes if node.bl_idname == kind)
+
+
 class Nodes:
     """Methods that add a node to the tree and return its output (`add`: the node), and one that arranges all nodes."""
 

@@ -13,6 +13,7 @@ from ...cbt_terrain.run.owned_files import remove_file
 from ...cbt_terrain.run.partial_files import written_beside
 from ...cbt_terrain.view.linear import inverse
 from ..bridge.demand.trees import tree_of_new
+from ..bridge.nodes import first_node
 from ..export.blend_files import open_empty_file
 from ..layers.material import give_terrain_material
 from ..layers.terrain_material import material_sources
@@ -193,7 +194,7 @@ def draw_levels(out: Path, scene, obj, frame: int, error_px: float, plan_resolut
     for name in {"Sea", "Water"} & set(scene.objects.keys()):
         scene.objects[name].hide_render = True
     scene.world = bpy.data.worlds.new("Paper")
-    tree_of_new(scene.world).nodes["Background"].inputs["Color"].default_value = PAPER
+    first_node(tree_of_new(scene.world), "ShaderNodeBackground").inputs["Color"].default_value = PAPER
     scene.cycles.use_denoising = False
     scene.cycles.samples, scene.cycles.max_bounces = 12, 0
     scene.view_settings.view_transform, scene.view_settings.look = "Standard", "None"

@@ -17,7 +17,7 @@ from ...cbt_terrain.run import launch
 from .. import jobs
 from ..bridge.demand.trees import tree_of_new
 from ..bridge.evaluated import anchor_of
-from ..bridge.nodes import Nodes
+from ..bridge.nodes import Nodes, first_node
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import new_child, write_mesh
 from ..scatter.dry_ground import follow_sea
@@ -140,7 +140,7 @@ def new_water_material() -> bpy.types.Material:
     material = bpy.data.materials.new(MATERIAL)
     material.diffuse_color = SHALLOW  # in viewports that show no materials
     tree = tree_of_new(material)
-    nodes, shader = Nodes(tree), tree.nodes["Principled BSDF"]
+    nodes, shader = Nodes(tree), first_node(tree, "ShaderNodeBsdfPrincipled")
     shader.inputs["Roughness"].default_value, shader.inputs["IOR"].default_value = 0.06, 1.333
     depth = nodes.add("ShaderNodeAttribute", attribute_name="water_depth", location=(-700, 200)).outputs["Fac"]
     alphas = [(alpha, alpha, alpha, 1.0) for alpha in (CLEAR, OPAQUE)]

@@ -4,7 +4,7 @@
 import bpy
 
 from ..bridge.demand.trees import tree_of_new
-from ..bridge.nodes import Nodes
+from ..bridge.nodes import Nodes, first_node
 from ..scene.haze import join_haze
 from ..session.polls import ObjectModeOperator
 from . import starter_forms
@@ -135,7 +135,7 @@ def _material(name: str) -> bpy.types.Material:
     material[MARK] = name
     inside, tips, roughness = MATERIALS[name]
     tree = tree_of_new(material)
-    nodes, shader = Nodes(tree), tree.nodes["Principled BSDF"]
+    nodes, shader = Nodes(tree), first_node(tree, "ShaderNodeBsdfPrincipled")
     shade = nodes.add("ShaderNodeAttribute", attribute_name=starter_forms.SHADE).outputs["Fac"]
     color = nodes.mix(shade, (*inside, 1.0), (*tips, 1.0))
     random = nodes.add("ShaderNodeObjectInfo").outputs["Random"]

@@ -5,6 +5,7 @@ Blender deletes an extension's user folder with the extension. Up to version 0.2
 they are moved out of it when Blender starts.
 """
 
+import itertools
 import os
 from pathlib import Path
 
@@ -78,13 +79,28 @@ def folder_beside(obj, source: str) -> str:
 def store_folder(obj, settings: ImportSettings) -> str:
     """Return the path of the folder that an import writes: beside a saved file, relative to it, one folder a terrain.
 
-    For a file that is not saved, or whose folder cannot be written, it is in the data folder: one folder for each
-    source and settings, because files share it. Raises TerrainError for a missing source.
+    The name gets a number if the folder is the store of another terrain only: that one was renamed, or `clean_name`
+    gives both the same name. For a file that is not saved, or whose folder cannot be written, it is in the data folder:
+    one folder for each source and settings, because files share it. Raises TerrainError for a missing source.
     """
     source = Path(settings.source).stem
     if can_write_beside():
-        return folder_beside(obj, source)
+        beside = folder_beside(obj, source)
+        names = itertools.chain([beside], (f"{beside}_{number}" for number in itertools.count(2)))
+        return next(name for name in names if not _is_only_of_another(obj, name))
     return str(data_folder() / bpy.path.clean_name(f"{source}_{source_digest(settings)[:12]}"))
+
+
+def _is_only_of_another(obj, folder: str) -> bool:
+    """Return whether a folder is the store of another terrain in the file, but not that of `obj`."""
+    terrains = [item for item in bpy.data.objects if item.type == "MESH" and item.adaptive_terrain.store]
+    owners = [item for item in terrains if real_path(_absolute_store(item)) == real_path(absolute_path(folder))]
+    return bool(owners) and obj not in owners
+
+
+def _absolute_store(obj) -> str:
+    """Return the absolute path of a terrain's store, also of a terrain that is linked from a library."""
+    return absolute_path(obj.adaptive_terrain.store, library=obj.library)
 
 
 def stored_path(folder: str) -> str:

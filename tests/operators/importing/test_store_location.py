@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 import pytest
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.importing import store_location, store_paths
 from adaptive_terrain.operators.importing.import_terrain import settings_of
 from adaptive_terrain.operators.land import bake_land, shape_land
@@ -145,3 +146,21 @@ def test_baked_land_avoids_the_folder_that_blender_deletes(terrain, folders, tmp
     assert baked == ("//terrain/valley_Terrain_store_baked" if saved else str(new / "hills_baked"))
     assert open_store(bpy.path.abspath(baked))
     assert sorted(entry.name for entry in old.iterdir()) == (["hills", "hills_land"] if place == "old" else [])
+
+
+def test_no_import_replaces_another_terrains_store(scene, add_terrain, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))
+    settings = ImportSettings(source="dem.tif")
+    names = ["Terrain", "Nord S\u00fcd", "Nord S\u00e6d"]
+    found = []
+    for name in names:
+        terrain = add_terrain(name)
+        terrain.adaptive_terrain.store = store_location.store_folder(terrain, settings)
+        found.append(terrain.adaptive_terrain.store)
+        assert store_location.store_folder(terrain, settings) == found[-1], "a second import replaces its own store"
+    assert found[1:] == ["//terrain/valley_Nord_S_d_dem", "//terrain/valley_Nord_S_d_dem_2"]
+    bpy.data.objects["Terrain"].name = "Old"
+    assert store_location.store_folder(add_terrain(), settings) == f"{found[0]}_2"
+    copy = bpy.data.objects["Old"].copy()
+    bpy.data.objects["Terrain"].name, copy.name = "Other", "Terrain"
+    assert store_location.store_folder(copy, settings) == found[0], "a duplicate and its original share their store"

@@ -27,13 +27,15 @@ def render_resolution(scene) -> tuple[int, int]:
 def active_camera(scene):
     """Return the camera of the current frame: the one that a marker binds, else the scene's; None without a camera.
 
-    Before the first marker its camera is bound already; one that is hidden in renders is not bound. Blender applies
-    markers before it renders, but only after the handlers of a frame change outside of a render.
+    Before the first marker its camera is bound already; one that is hidden in renders is not bound. Markers are at
+    times of the animation: with Time Stretching a frame of the render is at another time. Blender applies markers
+    before it renders, but only after the handlers of a frame change outside of a render.
     """
     bound = [marker for marker in scene.timeline_markers if marker.camera and not marker.camera.hide_render]
     if not bound:
         return scene.camera
-    past = [marker for marker in bound if marker.frame <= scene.frame_current]
+    now = int(scene.frame_current_final)  # as Blender cuts it, towards 0
+    past = [marker for marker in bound if marker.frame <= now]
     return (max(past, key=lambda marker: marker.frame) if past else min(bound, key=lambda marker: marker.frame)).camera
 
 

@@ -10,7 +10,8 @@ const JOB_TYPE = {
     label: "Adaptive Terrain Render",
     description: "Pictures of a scene with adaptive terrains, each refined for its frame.",
     settings: [
-        { key: "frames", type: "string", required: true, eval: "f'{C.scene.frame_start}-{C.scene.frame_end}'",
+        { key: "frames", type: "string", required: true,
+            eval: "f'{C.scene.frame_start}-{C.scene.frame_end}' if C.scene.frame_step == 1 else ', '.join(map(str, range(C.scene.frame_start, C.scene.frame_end + 1, C.scene.frame_step)))",
             description: "Such as 47, 1-30 or 3, 5-10, 47-327" },
         { key: "chunk_size", type: "int32", default: 4, description: "Frames of one task", visible: "submission" },
         { key: "import_tasks", type: "int32", default: IMPORT_TASKS, visible: "submission",

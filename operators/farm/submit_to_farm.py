@@ -84,7 +84,8 @@ class SubmitToFarm(DialogJobOperator, bpy.types.Operator):
         _check_is_saved()
         if not self.properties.is_property_set("frames"):
             scene = context.scene
-            self.frames = f"{scene.frame_start}-{scene.frame_end}"
+            step = f":{scene.frame_step}" if scene.frame_step > 1 else ""
+            self.frames = f"{scene.frame_start}-{scene.frame_end}{step}"
         return context.window_manager.invoke_props_dialog(self, width=400, confirm_text="Write Job")
 
     def steps(self, context, job: jobs.BackgroundJob) -> jobs.Steps:

@@ -15,8 +15,8 @@ from .pauses import handlers_paused
 
 
 def frames_of(scene) -> range:
-    """Return the frames of a scene's render range."""
-    return range(scene.frame_start, scene.frame_end + 1)
+    """Return the frames of a scene's render range, with its step."""
+    return range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
 
 
 def visit_requests(obj, scene, frames: Iterable[int], **options) -> Iterator[Request]:

@@ -4,10 +4,13 @@
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.operators import handlers, jobs
+from adaptive_terrain.operators.bridge.camera import active_camera
 from adaptive_terrain.operators.session import live, session, stale_renders
+from adaptive_terrain.operators.session.shot import frames_of
 from adaptive_terrain.operators.ui import status_bar
 from blender_meshes import digest_alone
 from live_windows import turns
@@ -53,6 +56,27 @@ def test_markers_that_bind_cameras_are_followed(flight, add_terrain):
     near = len(terrain.data.polygons)
     flight.frame_set(5)
     assert len(terrain.data.polygons) < near / 3
+
+
+def test_markers_are_followed_with_time_stretching(flight, add_terrain):
+    """Blender applies markers after its handlers: updating the scene once more asks for its own choice."""
+    terrain = add_terrain()
+    other = bpy.data.objects.new("Other", bpy.data.cameras.new("Other"))
+    other.location, other.rotation_euler, other.data.clip_end = (0.0, -2000.0, 900.0), (1.15, 0.0, 0.0), 1e5
+    flight.collection.objects.link(other)
+    flight.timeline_markers.new("first", frame=1).camera = flight.camera
+    flight.timeline_markers.new("second", frame=3).camera = other
+    chosen = []
+    for old, new in ((100, 200), (100, 50)):
+        flight.render.frame_map_old, flight.render.frame_map_new = old, new
+        for frame in range(1, 8):
+            flight.frame_set(frame)
+            assert active_camera(flight) == flight.camera, (old, new, frame)
+            chosen.append(flight.camera.name)
+            [view] = session.record_of(terrain).status.request.views
+            eye = np.linalg.inv(view.world_to_camera)[:3, 3]
+            np.testing.assert_allclose(eye, flight.camera.matrix_world.translation, atol=1e-3)
+    assert chosen == ["Camera"] * 5 + ["Other"] * 2 + ["Camera"] + ["Other"] * 6
 
 
 def render(scene, tmp_path, **settings):
@@ -234,3 +258,10 @@ def test_live_update_begins_when_the_kernels_are_ready(window, add_terrain, prep
     turns()
     assert len(redrawn) >= 4, "the bar goes, then Update can be clicked"
     assert len(terrain.data.polygons) > 100
+
+
+def test_frames_of_a_shot_are_those_that_a_render_writes(flight, tmp_path):
+    flight.frame_start, flight.frame_end, flight.frame_step = 2, 9, 3
+    render(flight, tmp_path, resolution_percentage=1)
+    written = [int(path.stem.removeprefix("frame_")) for path in sorted(tmp_path.iterdir())]
+    assert written == list(frames_of(flight)) == [2, 5, 8]

@@ -6,6 +6,7 @@ tests/blender/test_farm.py runs one.
 
 import json
 import os
+import re
 import runpy
 import shlex
 import shutil
@@ -379,3 +380,12 @@ def test_flamenco_refuses_a_movie(compiled):
     for movie in movies:
         refused = compiled("1-4", movie)
         assert refused.returncode == 1 and f"a movie ({movie}); expected a picture a frame" in refused.stderr
+
+
+def test_flamenco_renders_the_frames_of_the_scene(scene):
+    template = (Path(bundle.__file__).parent / "flamenco.js").read_text()
+    [rule] = re.findall(r'key: "frames".*?eval: "([^"]*)"', template, re.DOTALL)
+    scene.frame_start, scene.frame_end = 2, 9
+    assert eval(rule, {"C": bpy.context}) == "2-9"
+    scene.frame_step = 3
+    assert eval(rule, {"C": bpy.context}) == "2, 5, 8"

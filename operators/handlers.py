@@ -16,7 +16,7 @@ from ..cbt_terrain.errors import TerrainError
 from ..cbt_terrain.run import stopping
 from .accuracy import measuring
 from .accuracy import report as accuracy_report
-from .bridge import freed_memory
+from .bridge import freed_memory, video_edits
 from .bridge.demand import demand_cache
 from .bridge.writing import allow_writing
 from .ground import keep_ground
@@ -64,9 +64,12 @@ def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
     """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns the errors.
 
     mode: VIEWPORT or RENDER. A render needs the terrains in its dependency graph: rendered objects and their inputs. In
-    a viewport those are updated that are live, or whose mesh is still that of a render.
+    a viewport those are updated that are live, or whose mesh is still that of a render. A render for a video edit is
+    through the cameras of its strips.
     """
     failed = []
+    edited = video_edits.cameras_in(_edits_of(scene), scene) if mode == RENDER else []
+    options = {"scene_cameras": edited} if edited else {}
     for obj in session.terrains_of(scene):
         if mode == RENDER and not obj.evaluated_get(depsgraph).is_evaluated:
             continue
@@ -74,7 +77,7 @@ def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
         if mode == VIEWPORT and not (obj.adaptive_terrain.live or after_render):
             continue
         try:
-            session.update_object(obj, depsgraph, mode)
+            session.update_object(obj, depsgraph, mode, **options)
         except Exception as error:
             failed.append(session.as_terrain_error(error))
             if not isinstance(error, TerrainError):
@@ -109,6 +112,11 @@ def _rendered_frame(scene) -> tuple[int, float] | None:
         return None
     now = scene.frame_current, scene.frame_subframe
     return _rendered_frames.get(scene.session_uid) or _joined_frames.setdefault(scene.session_uid, now)
+
+
+def _edits_of(scene) -> list:
+    """Return the scenes that are being rendered and whose video edit shows `scene` by a strip."""
+    return video_edits.edits_of(scene, [other for other in bpy.data.scenes if other.session_uid in _rendered_frames])
 
 
 @persistent
@@ -162,7 +170,8 @@ def _update_terrains(scene, depsgraph, failed: list[TerrainError]) -> None:
             terrains = session.terrains_of(scene)
             failed += incomplete.wait_for_imports(terrains, depsgraph) or update_all(scene, depsgraph, RENDER)
             if failed:
-                stale_renders.handle_stale_frame(scene, failed)
+                picture = (_edits_of(scene) or [scene])[0]
+                stale_renders.handle_stale_frame(scene, picture.frame_current, failed)
             incomplete.note_incomplete(scene, terrains)  # reports terrains without all their tiles
     elif _mesh_is_needed_now():
         _update_viewport(scene, depsgraph)
@@ -188,7 +197,8 @@ def on_render_pre(scene, _unused=None) -> None:
 @_unless_paused
 def on_render_post(scene, _unused=None) -> None:
     """Forget the frame after its render, so that later frame changes are those of the viewport."""
-    stale_renders.exit_if_stopped()
+    if not _edits_of(scene):
+        stale_renders.exit_if_stopped()
     _rendered_frames.pop(scene.session_uid, None)
     _joined_frames.clear()
 
@@ -197,17 +207,21 @@ def on_render_post(scene, _unused=None) -> None:
 def on_render_end(scene, _unused=None) -> None:
     """Restore the viewport's level of detail after a render or its cancellation.
 
-    With a window the timer does it on the main thread, where no drawing can interfere.
+    With a window the timer does it on the main thread, where no drawing can interfere. A strip of a video edit ends
+    nothing: the render of the edit goes on, and closes its movie.
     """
+    if _edits_of(scene):
+        _rendered_frames.pop(scene.session_uid, None)
+        return
     stale_renders.exit_if_stopped()
     stale_renders.report_stale_frames()
     render_wait.forget_cancelling()
     _rendered_frames.clear()  # no scene is rendered now, nor one that a compositor takes in (`_joined_frames`)
     _joined_frames.clear()
-    if bpy.app.background:
-        _update_viewport(scene, bpy.context.evaluated_depsgraph_get())
-    else:
+    if not bpy.app.background:
         live.mark_dirty()
+    elif scene == bpy.context.scene:  # another one is shown nowhere
+        _update_viewport(scene, bpy.context.evaluated_depsgraph_get())
 
 
 @_unless_paused

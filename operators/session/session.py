@@ -107,7 +107,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
     Args:
         depsgraph: the evaluated dependency graph, the context's by default.
         mode: VIEWPORT or RENDER, whose settings are read.
-        options: `criterion`, `camera`, `resolution` or `overrides` in place of those of the scene.
+        options: `criterion`, `camera`, `scene_cameras`, `resolution` or `overrides` in place of those of the scene.
 
     Raises:
         TerrainError: the update failed. The panel shows the error, and the mesh stays.
@@ -129,7 +129,7 @@ def update_object(obj, depsgraph=None, mode: str = VIEWPORT, **options):
 def _update(obj, record: Record, depsgraph, mode: str, options: dict):
     """Refine and show a terrain's mesh in this thread, and return its Update.
 
-    mode: VIEWPORT or RENDER. options: `criterion`, `camera`, `resolution` or `overrides` in place of the scene's.
+    mode: VIEWPORT or RENDER. options: those of `update_object`.
     """
     request = gather(obj, depsgraph or bpy.context.evaluated_depsgraph_get(), mode, **options)
     with engine_lock:

@@ -43,19 +43,20 @@ def raise_for_stale_frames():
         raise _caught[0]
 
 
-def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
+def handle_stale_frame(scene, frame: int, errors: list[TerrainError]) -> None:
     """Handle a frame, before its render, whose terrains cannot be refined because of `errors`.
 
     In the background it is not rendered unless the scene allows it; with a window it is noted for
     `report_stale_frames`. Inside `raise_for_stale_frames` the render ends, and the error is kept for that. A render
-    that the user has cancelled with Esc ends by itself.
+    that the user has cancelled with Esc ends by itself. frame: number of the picture, which in a video edit is not the
+    scene's.
     """
     global _ending
     if _ending:  # each view layer calls this, and a second interruption would kill Blender
         return
     if _raising:
         stopping.end_host_work()  # ends the render
-        _caught.append(stale_frame_error(scene.frame_current, errors))
+        _caught.append(stale_frame_error(frame, errors))
         return
     why = " ".join(dict.fromkeys(map(str, errors)))
     if any(error.code == CANCELLED for error in errors):  # Blender ends the render
@@ -63,11 +64,11 @@ def handle_stale_frame(scene, errors: list[TerrainError]) -> None:
         _messages.append(why)
         return
     if not (bpy.app.background and scene.adaptive_terrain.stop_stale_renders):
-        print_line(f"Adaptive Terrain: frame {scene.frame_current} is rendered with a stale mesh. {why}")
-        _shown_stale[scene.frame_current] = why
+        print_line(f"Adaptive Terrain: frame {frame} is rendered with a stale mesh. {why}")
+        _shown_stale[frame] = why
         return
     print_line(
-        f"Adaptive Terrain: frame {scene.frame_current} is not rendered, since its mesh would be stale. {why}",
+        f"Adaptive Terrain: frame {frame} is not rendered, since its mesh would be stale. {why}",
         file=sys.stderr,
     )
     _ending = True

@@ -3,8 +3,10 @@
 
 import hashlib
 import math
+from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import bpy
 import numpy as np
@@ -114,6 +116,7 @@ def gather(
     *,
     criterion: Criterion | None = None,
     camera=None,
+    scene_cameras: Sequence = (None,),
     resolution: tuple[int, int] | None = None,
     overrides: Overrides = NO_OVERRIDES,
     about_middle: bool = False,
@@ -121,9 +124,11 @@ def gather(
     """Read the settings of the terrain `obj` and the camera that it is refined for, as `depsgraph` evaluated them.
 
     `mode` picks the settings of the viewport or of the render. `criterion`, `camera` (an object), `resolution` (pixels)
-    and `overrides` replace those of the settings and the scene. Frozen triangles are ignored if there is a `criterion`
-    or an override other than `effects`; the time budget is ignored if there is a `criterion` or an overridden error.
-    `about_middle`: the origin of the terrain's space is the raster's middle, not the anchor. Raises TerrainError.
+    and `overrides` replace those of the settings and the scene. `scene_cameras`: objects that the scene is rendered
+    through, None for its own camera; strips of a video edit may name others. Frozen triangles are ignored if there is a
+    `criterion` or an override other than `effects`; the time budget is ignored if there is a `criterion` or an
+    overridden error. `about_middle`: the origin of the terrain's space is the raster's middle, not the anchor. Raises
+    TerrainError.
     """
     evaluated = obj.evaluated_get(depsgraph)
     settings = evaluated.adaptive_terrain  # the evaluated copy has the values that animation and drivers set
@@ -145,10 +150,11 @@ def gather(
             criterion, note = within_time(criterion, detail)
             max_ms = detail.max_ms if detail.limit_time else None
             curve = CostCurve.from_json(detail.curve) if detail.limit_time and not note else None
+    find_views = partial(_find_views, evaluated, depsgraph, mode, camera, scene_cameras, resolution)
     views = []
     if criterion.needs_view:
         with _name_terrain_in_errors(obj.name):
-            views = _find_views(evaluated, depsgraph, mode, camera, resolution)
+            views = find_views()
     store, land = absolute_path(settings.store), land_of(obj, evaluated, depsgraph, waits=mode == RENDER)
     if land is not None:
         if views and mode == RENDER and land.of_views:  # only land in view has to be fine
@@ -178,12 +184,7 @@ def gather(
         note=note,
         frozen=frozen,
         effects=gather_effects(obj, evaluated, placement, depsgraph, mode, overrides.effects),
-        scatters=gather_scatters(
-            obj,
-            depsgraph,
-            render=mode == RENDER,
-            views=lambda: views or _find_views(evaluated, depsgraph, mode, camera, resolution),
-        ),
+        scatters=gather_scatters(obj, depsgraph, render=mode == RENDER, views=lambda: views or find_views()),
         curve=curve,
         anchor=anchor,
     )
@@ -295,12 +296,12 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
-def _find_views(terrain, depsgraph, mode: str, camera, resolution) -> list[View]:
+def _find_views(terrain, depsgraph, mode: str, camera, scene_cameras: Sequence, resolution) -> list[View]:
     """Return the views that a terrain is refined for: of viewports, of its chosen camera or of the scene's.
 
     A terrain that follows viewports gets the scene's camera if there are none, and in a render. terrain: evaluated.
-    camera, resolution: replace those of the settings and of the scene unless they are None. Raises TerrainError without
-    a camera.
+    camera, resolution: replace those of the settings and of the scene unless they are None. scene_cameras: those of the
+    scene, see `gather`. Raises TerrainError without a camera.
     """
     scene, settings = depsgraph.scene, terrain.adaptive_terrain
     if camera is None and mode == VIEWPORT and follows_viewport(terrain, scene):
@@ -313,4 +314,6 @@ def _find_views(terrain, depsgraph, mode: str, camera, resolution) -> list[View]
                 "No camera is chosen", fix="choose one on the terrain's panel, or use the scene's camera"
             )
         camera = settings.camera.original
-    return cameras.views_from_scene(scene, camera or cameras.active_camera(scene), depsgraph, resolution)
+    active = cameras.active_camera(scene)
+    through = [camera] if camera else [other or active for other in scene_cameras]
+    return [view for eye in through for view in cameras.views_from_scene(scene, eye, depsgraph, resolution)]

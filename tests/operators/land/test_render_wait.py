@@ -75,7 +75,7 @@ def test_esc_ends_the_wait_with_one_message(terrain, monkeypatch, capsys):
         with pytest.raises(TerrainError) as caught:
             session.update_object(terrain, mode="RENDER")
         assert caught.value.code == render_wait.CANCELLED and render_wait.waiting is None
-        stale_renders.handle_stale_frame(bpy.context.scene, [caught.value])
+        stale_renders.handle_stale_frame(bpy.context.scene, 1, [caught.value])
         shape = monkeypatch.setattr(derived_store, "shape_store", lambda *some, **_options: some[4](0.1, "Rivers"))
     assert capsys.readouterr().out.count("The render was cancelled while land was shaped: render again") == 2
     assert len(set(stale_renders._messages)) == 1 and not stale_renders._shown_stale

@@ -17,12 +17,13 @@ from ..cbt_terrain.run import stopping
 from .accuracy import measuring
 from .accuracy import report as accuracy_report
 from .bridge import freed_memory, video_edits
+from .bridge.applied import remember
 from .bridge.demand import demand_cache
 from .bridge.writing import allow_writing
 from .ground import keep_ground
 from .importing import import_terrain, incomplete, shared_origin
 from .land import render_wait, resting_land
-from .session import live, pauses, session, stale_renders
+from .session import applied_transforms, live, pauses, session, stale_renders
 from .terrain.request import RENDER, VIEWPORT
 from .text.console import print_line
 
@@ -225,11 +226,14 @@ def on_render_end(scene, _unused=None) -> None:
 
 
 @_unless_paused
+@allow_writing
 def on_depsgraph_update(scene, depsgraph) -> None:
     """Mark the terrains for an update if an object, a camera or another type changed that they may depend on.
 
-    A graph does not have the images of empties: Blender reports only that some image changed.
+    A graph does not have the images of empties: Blender reports only that some image changed. A transform that was
+    applied to a terrain is restored.
     """
+    applied_transforms.take_back_changed(depsgraph)
     if depsgraph.id_type_updated("IMAGE") or any(isinstance(update.id, SEEN_TYPES) for update in depsgraph.updates):
         live.mark_dirty()
 
@@ -250,15 +254,18 @@ def on_load_pre(_path, _unused=None) -> None:
 
 @_unless_paused
 def on_load_post(_path, _unused=None) -> None:
-    """Mark the terrains of the new file for an update."""
+    """Mark the terrains of the new file for an update, and remember the transforms that their meshes belong to."""
+    for obj in session.all_terrains():
+        remember(session.record_of(obj).placed, obj)
     live.mark_dirty()
 
 
 @_unless_paused
 def on_undo(_scene, _unused=None) -> None:
     """Forget all that may refer to the state before Undo or Redo, which replaces Blender's data, and update the
-    terrains.
+    terrains. Redo brings an applied transform back, which is restored again.
     """
+    applied_transforms.take_back_of(session.all_terrains())
     session.forget_shown()
     measuring.stop_measurement()
     accuracy_report.remove_scratch_meshes()

@@ -13,6 +13,7 @@ from ...cbt_terrain.field.heightfield import FieldKey
 from ...cbt_terrain.mesh.attributes import Attribute
 from ...cbt_terrain.refine.reported_bounds import ReportedBounds
 from ..attributes.request import EffectStatus
+from ..bridge.applied import Placed
 from ..overlay.colors import Overlay
 from ..scatter.request import ScatterRecord
 from ..terrain.request import Request
@@ -68,6 +69,7 @@ class Record:
         terrain: the engine for `field`, None before the first update.
         field: the height field of the last update, None before the first.
         serial: number of the current surface; it grows whenever the surface changes.
+        placed: the last written meshes and the object's transform with them, by number of vertices.
         shown: key of the surface in the mesh and of how it was written.
         postponed_normals: float32 [V, 3], normals that the mesh lacks because it is live; None if it has them.
         overlay: None while it is off; `overlay_key` identifies its inputs, `overlay_ms` its time.
@@ -85,6 +87,7 @@ class Record:
     terrain: "Terrain | None" = None
     field: object = None
     serial: int = 0
+    placed: dict[int, Placed] = dataclasses.field(default_factory=dict)
     shown: tuple | None = None
     postponed_normals: np.ndarray | None = None
     overlay: Overlay | None = None

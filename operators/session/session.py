@@ -20,6 +20,7 @@ from ...cbt_terrain.run import launch, warmup
 from ...cbt_terrain.run.owned_files import real_path
 from ..attributes.request import statuses
 from ..bridge import freed_memory
+from ..bridge.applied import remember
 from ..bridge.cleanup import clean_up
 from ..bridge.demand import demand_cache
 from ..bridge.writer import write_mesh, write_normals
@@ -292,6 +293,7 @@ def show(obj, record: Record, request: Request, update, mode: str, *, exact: boo
         if write_mesh(obj.data, surface, smooth=request.smooth, exact=exact):
             record.postponed_normals = surface.normals.copy()
         record.shown = _what_is_shown(obj.data, record, request)
+        remember(record.placed, obj)
         ms["mesh"] = (time.perf_counter() - start) * 1e3
         if record.overlay is not None:
             ms["overlay"] = record.overlay_ms

@@ -16,6 +16,7 @@ import bpy
 from ...cbt_terrain.errors import TerrainError
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import remove_empty
+from ..bridge import popup
 from ..land.render_wait import CANCELLED
 from ..text.console import print_line
 from ..text.translations import phrase
@@ -109,11 +110,9 @@ def exit_if_stopped() -> None:
 
 def report_stale_frames() -> None:
     """Show a message in the window with the stale frames and messages of the finished render, then forget them."""
-    if (_shown_stale or _messages) and not bpy.app.background:
-        bpy.app.timers.register(_show_popup, first_interval=0.0)  # popups need the main thread
-    else:
-        _shown_stale.clear()
-        _messages.clear()
+    popup.show_soon([*dict.fromkeys(_messages), *(message_lines(_shown_stale) if _shown_stale else ())])
+    _shown_stale.clear()
+    _messages.clear()
 
 
 def message_lines(stale: dict[int, str]) -> list[str]:
@@ -125,31 +124,3 @@ def message_lines(stale: dict[int, str]) -> list[str]:
     if len(stale) > FRAMES_NAMED:
         frames = phrase("{} and {} more", frames, f"{len(stale) - FRAMES_NAMED:,}")
     return [phrase("Rendered with the mesh of another frame: {}", frames), *dict.fromkeys(stale.values())]
-
-
-def _show_popup() -> None:
-    """Show the popup of `report_stale_frames`; a timer calls it on the main thread."""
-    lines = [*dict.fromkeys(_messages), *(message_lines(_shown_stale) if _shown_stale else ())]
-    _shown_stale.clear()
-    _messages.clear()
-    manager = bpy.context.window_manager
-    if not manager.windows:
-        return
-
-    def draw(self, _context):
-        """Draw the message as lines of the popup."""
-        for line in lines:
-            self.layout.label(text=line)
-
-    with bpy.context.temp_override(window=_render_window(manager.windows)):
-        manager.popup_menu(draw, title="Adaptive Terrain", icon="ERROR")
-
-
-def _render_window(windows):
-    """Return the first of some windows that shows a render, which may cover the others; without one the first."""
-    for window in windows:
-        for area in window.screen.areas:
-            image = area.spaces.active.image if area.type == "IMAGE_EDITOR" else None
-            if image is not None and image.type == "RENDER_RESULT":
-                return window
-    return windows[0]

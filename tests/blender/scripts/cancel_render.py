@@ -16,7 +16,7 @@ result = {"version": bpy.app.version_string, "ended": [], "said": []}
 render_wait, resting_land, shaped_land = (
     module(f"operators.land.{name}") for name in ("render_wait", "resting_land", "shaped_land")
 )
-jobs, stale_renders = module("operators.jobs"), module("operators.session.stale_renders")
+jobs, popup = module("operators.jobs"), module("operators.bridge.popup")
 resting_land.REST_S = 1e9  # nothing else shapes land
 
 
@@ -44,8 +44,8 @@ def steps():
     scene = bpy.context.scene
     for name in ("render_complete", "render_cancel"):
         getattr(bpy.app.handlers, name).append(lambda *_, name=name: result["ended"].append(name))
-    pop_up = stale_renders._show_popup
-    stale_renders._show_popup = lambda: result["said"].append(list(stale_renders._messages)) or pop_up()
+    show = popup._show
+    popup._show = lambda: result["said"].append(list(popup._lines)) or show()
     bpy.data.objects.remove(bpy.data.objects["Cube"])
     run(bpy.ops.mesh.adaptive_terrain_add, "INVOKE_DEFAULT", size=SIDE)
     yield from until(lambda: terrain() is not None and len(terrain().data.polygons) > 0)

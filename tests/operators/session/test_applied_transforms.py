@@ -9,6 +9,7 @@ from blender_meshes import positions
 from mathutils import Matrix, Vector
 
 KEEPS = "Terrain keeps its transform and its origin"
+EDITED = "The mesh of Terrain was edited"
 
 
 @pytest.fixture
@@ -94,3 +95,28 @@ def test_an_ordinary_move_is_not_taken_back(placed, capsys):
     placed.scale = (3.0, 3.0, 3.0)
     bpy.context.view_layer.update()
     assert placed.location == Vector((40.0, -20.0, 5.0)) and KEEPS not in capsys.readouterr().out
+
+
+def test_a_joined_object_is_reported_before_it_is_replaced(placed, scene, capsys):
+    before, faces = state(placed), len(placed.data.polygons)
+    bpy.ops.mesh.primitive_cube_add(size=50.0)
+    placed.select_set(True)
+    bpy.context.view_layer.objects.active = placed
+    assert bpy.ops.object.join() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    assert capsys.readouterr().out.count(EDITED) == 1 and len(placed.data.polygons) == faces + 6
+    scene.frame_set(3)
+    np.testing.assert_allclose(state(placed), before, atol=1e-6)
+    assert EDITED not in capsys.readouterr().out
+
+
+def test_undo_to_an_unknown_mesh_is_no_edit(placed, scene, capsys):
+    bpy.ops.ed.undo_push(message="coarse")
+    for number in range(40):
+        placed.adaptive_terrain.viewport.error_px = 2.0 + number / 10
+        scene.frame_set(2)
+    bpy.ops.ed.undo_push(message="fine")
+    bpy.ops.ed.undo()
+    bpy.context.view_layer.update()
+    bpy.context.scene.frame_set(3)
+    assert EDITED not in capsys.readouterr().out

@@ -29,7 +29,7 @@ from ..terrain.camera_source import follows_viewport
 from ..terrain.properties import built_in_land
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
-from .placement_notes import neighbour_notes, picture_note, scatter_note
+from .placement_notes import neighbour_notes, picture_note, scatter_note, unit_note
 from .store_location import location_warnings, store_folder, stored_path
 
 RESIZED = 2.0  # ratio of sizes from which on the terrain is framed again
@@ -313,7 +313,8 @@ class ImportOperator(JobOperator):
             self.report({"INFO"}, note)
         self.report({"INFO"}, summary(report))
         notes = [*location_warnings(obj.adaptive_terrain.store), *neighbour_notes(obj, session.all_terrains())]
-        notes += [note for note in [outdated_note(obj)] if note] + placing
+        notes += [note for note in [outdated_note(obj), unit_note(bpy.context.scene, obj.adaptive_terrain)] if note]
+        notes += placing
         for warning in [*report["warnings"], *notes]:
             self.report({"WARNING"}, warning)
         try:

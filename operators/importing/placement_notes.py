@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Notes after an import: the distance to neighbouring terrains, and how a picture of the same raster fits on it."""
+"""Notes after an import: neighbouring terrains, the scene's units, how a picture of the same raster fits on it."""
 
 import math
 from pathlib import Path
@@ -16,6 +16,20 @@ from .imported import Imported, imported_of
 FOOT = 0.3048
 # Cells by which the distance of two rasters may be off: degrees of other ellipsoids.
 MAX_GAP_ERROR = 0.25
+
+
+def unit_note(scene, settings) -> str:
+    """Return a note if the scene's units show the size of an imported file wrongly, "" otherwise.
+
+    A metre of the file is one unit of Blender. settings: the terrain's.
+    """
+    units, scale = scene.unit_settings, scene.unit_settings.scale_length
+    if settings.source != "FILE" or units.system == "NONE" or abs(scale - 1.0) < 1e-6:
+        return ""
+    return (
+        f"The scene's Unit Scale is {scale:.6g}, so Blender shows a metre of this terrain as {scale:.6g} m: set it to "
+        f"1 under Scene > Units, or scale the terrain by {1.0 / scale:.6g}."
+    )
 
 
 def neighbour_notes(obj, others) -> list[str]:

@@ -64,14 +64,14 @@ def _note_scene_change(depsgraph) -> None:
 def update_all(scene, depsgraph, mode: str) -> list[TerrainError]:
     """Update the scene's terrains; one that fails keeps its mesh and does not stop the others. Returns the errors.
 
-    mode: VIEWPORT or RENDER. A render needs the terrains in its dependency graph: rendered objects and their inputs. In
-    a viewport those are updated that are live, or whose mesh is still that of a render. A render for a video edit is
-    through the cameras of its strips.
+    mode: VIEWPORT or RENDER. A render needs the terrains in its dependency graph: rendered objects and their inputs,
+    and those that only an instance of a collection shows. In a viewport those are updated that are live, or whose mesh
+    is still that of a render. A render for a video edit is through the cameras of its strips.
     """
     failed = []
     edited = video_edits.cameras_in(_edits_of(scene), scene) if mode == RENDER else []
     options = {"scene_cameras": edited} if edited else {}
-    for obj in session.terrains_of(scene):
+    for obj in session.all_terrains() if mode == RENDER else session.terrains_of(scene):
         if mode == RENDER and not obj.evaluated_get(depsgraph).is_evaluated:
             continue
         after_render = session.record_of(obj).status.mode == RENDER

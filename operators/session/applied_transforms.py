@@ -33,18 +33,18 @@ def take_back_of(terrains: list) -> None:
 
     Those would else stay while the view is the same, if they move vertices only.
     """
-    taken = []
+    restored = []
     for obj in terrains:
         record, before = session.record_of(obj), _written(obj)
         if before is None:
             remember(record.placed, obj)
         elif obj.mode == "OBJECT" and not is_as_placed(obj, before):
             record.shown = record.postponed_normals = record.live_key = None
-            taken += [obj] if take_back(obj, before) else []
+            restored += [obj] if take_back(obj, before) else []
     _report(
         f"{obj.name} keeps its transform and its origin: its mesh is computed anew for each view. Bake Static Mesh "
         "gives a mesh to which you can apply them."
-        for obj in taken
+        for obj in restored
     )
 
 

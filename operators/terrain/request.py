@@ -22,12 +22,14 @@ from ...cbt_terrain.field.heightfield import INTERPOLATIONS, FieldKey
 from ...cbt_terrain.height_operators.derived_store import Land
 from ...cbt_terrain.height_operators.requested_tiles import SeenTiles
 from ...cbt_terrain.view.criterion import Criterion, requested_unit
+from ...cbt_terrain.view.linear import product
 from ...cbt_terrain.view.settings import SETTINGS
 from ...cbt_terrain.view.view import View
 from ..attributes.request import Effects, gather_effects
 from ..bridge import camera as cameras
 from ..bridge.cleanup import Cleanup, plan_triangles
 from ..bridge.evaluated import anchor_of, evaluated_or_still, placement_of, raster_placement_of
+from ..bridge.instances import shown_places
 from ..bridge.scene_paths import absolute_path, no_heights
 from ..land.request import land_of
 from ..layers.properties import layers_of
@@ -296,8 +298,21 @@ def cleanup_from(settings, terrain, depsgraph) -> Cleanup:
     return Cleanup(settings.below if settings.use_below else None, boundary)
 
 
-def _find_views(terrain, depsgraph, mode: str, camera, scene_cameras: Sequence, resolution) -> list[View]:
-    """Return the views that a terrain is refined for: of viewports, of its chosen camera or of the scene's.
+def _find_views(terrain, depsgraph, *look) -> list[View]:
+    """Return the views that a terrain is refined for: those of `_views_of_cameras`, for each place where it is shown.
+
+    An instance of the terrain's collection is seen as the terrain itself from another place. terrain: evaluated.
+    """
+    views = _views_of_cameras(terrain, depsgraph, *look)
+    places = shown_places(terrain.original, depsgraph)
+    if len(places) == 1 and np.array_equal(places[0], np.eye(4)):
+        return views
+    moved = [(view, product(view.world_to_camera, place)) for place in places for view in views]
+    return [replace(view, world_to_camera=matrix) for view, matrix in moved]
+
+
+def _views_of_cameras(terrain, depsgraph, mode: str, camera, scene_cameras: Sequence, resolution) -> list[View]:
+    """Return the views of viewports, of the terrain's chosen camera or of the scene's.
 
     A terrain that follows viewports gets the scene's camera if there are none, and in a render. terrain: evaluated.
     camera, resolution: replace those of the settings and of the scene unless they are None. scene_cameras: those of the

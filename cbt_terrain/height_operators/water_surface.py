@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..field.heightfield import HeightField
+from ..field.known_ground import known_samples
 from ..field.lattice import Lattice, fit
 from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
@@ -40,15 +41,16 @@ def default_sea(field: HeightField) -> float:
     """Return a level of the sea in metres that shows water.
 
     It is 0 m at a coast, where at least a fraction MIN_SEA of the ground is at or below 0 m. Inland it floods the
-    lowest fraction INLAND of the ground. If most ground at or below the level is at exactly this level, as where a file
-    stores the sea as 0 or holds a lake's surface, it is OVER_FLAT_SEA higher.
+    lowest fraction INLAND of the ground. Holes and wide gaps are no ground. If most ground at or below the level is at
+    exactly this level, as where a file stores the sea as 0 or holds a lake's surface, it is OVER_FLAT_SEA higher.
     """
-    count = field.samples.size if field.valid is None else np.count_nonzero(field.valid)
+    valid = known_samples(field)
+    count = field.samples.size if valid is None else np.count_nonzero(valid)
     ground, filled = np.empty(count, np.float32), 0  # `filled`: heights so far
     for first in range(0, field.lattice.height, ROWS):
         heights = field.heights(slice(first, first + ROWS)).reshape(-1)
-        if field.valid is not None:
-            heights = heights[field.valid[first : first + ROWS].reshape(-1) != 0]
+        if valid is not None:
+            heights = heights[valid[first : first + ROWS].reshape(-1) != 0]
         ground[filled : filled + heights.size] = heights
         filled += heights.size
     is_coast = np.count_nonzero(ground <= 0.0) >= MIN_SEA * count

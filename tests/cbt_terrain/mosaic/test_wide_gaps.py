@@ -9,6 +9,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field.known_ground import ground_fraction
 from adaptive_terrain.cbt_terrain.field.store import open_store
+from adaptive_terrain.cbt_terrain.height_operators.water_surface import default_sea
 from adaptive_terrain.cbt_terrain.importing import refining
 from adaptive_terrain.cbt_terrain.importing.finer_squares import finer_squares
 from adaptive_terrain.cbt_terrain.importing.refining import with_loaded
@@ -180,6 +181,14 @@ def test_a_query_and_an_export_name_the_gap(islands, tmp_path, capsys):
     line = capsys.readouterr().out.strip()
     percent = 100.0 * report["filled"] / np.prod(report["raster"])
     assert f"{percent:.4g} % of its rectangle is gaps without data" in line and 98.0 < percent < 100.0
+
+
+def test_inland_water_covers_low_ground_of_files(islands):
+    """Filled heights do not count: those of the gap are mostly those of two corners."""
+    sheets, folder, _ = islands
+    heights = np.concatenate([one.heights.ravel() for one in sheets.values()])
+    level = default_sea(open_store(folder / "store"))
+    assert 0.01 < (heights < level).mean() < 0.12
 
 
 def test_a_city_in_a_country_has_no_gap(islands, small, tmp_path):

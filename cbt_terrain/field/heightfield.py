@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 INTERPOLATIONS = ("bilinear", "bicubic")
 # Plane coordinates are float32 in the mesh, so lattice lines are at least 2^-23 of the longer side apart.
 PLANE_BITS = 23
+LOADED = "loaded_m"  # entry of the provenance of an incomplete import (importing/thinning.py)
 # Cached surfaces with detail, since several objects of a scene may share a raster.
 MAX_DETAILED = 8
 

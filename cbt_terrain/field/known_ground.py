@@ -5,15 +5,17 @@ A store marks the samples of holes. Of filled samples it has the number alone. B
 gaps have finer tiles (mosaic/finer_plan.py), these show where its files are.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from .finer_tiles import SIDE, has_known
-from .heightfield import HeightField
+from .heightfield import LOADED, HeightField
 
 
-class KnownTiles(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class KnownTiles:
     """The tiles that files of a mosaic with wide gaps meet.
 
     Attributes:
@@ -29,11 +31,15 @@ class KnownTiles(NamedTuple):
 
         low, high: float64 [n, 2], their south-western and north-eastern corners, metres from that of the raster.
         """
-        counts = np.pad(self.is_known.astype(np.int32).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-        last = np.array(self.is_known.shape[::-1]) - 1  # last column and row
+        counts, last = self._counts, np.array(self.is_known.shape[::-1]) - 1  # last column and row
         first_tile, last_tile = (np.clip(np.floor(corner / self.size), 0, last).astype(int) for corner in (low, high))
         (west, south), (east, north) = first_tile.T, last_tile.T + 1
         return counts[north, east] - counts[south, east] - counts[north, west] + counts[south, west] > 0
+
+    @cached_property
+    def _counts(self) -> np.ndarray:
+        """Return the number of known tiles south and west of each corner of tiles, int32 [rows + 1, columns + 1]."""
+        return np.pad(self.is_known.astype(np.int32).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
 
 
 def ground_fraction(field: HeightField) -> float:
@@ -51,10 +57,10 @@ def known_tiles_of(field: HeightField) -> KnownTiles | None:
     """Return the tiles with known heights of a mosaic with wide gaps; None for any other field.
 
     In such a mosaic no height outside of these tiles is known. So there are at least as many filled samples as there
-    are samples outside.
+    are samples outside. An incomplete import may lack tiles, so None is returned for it.
     """
     finer, lattice = field.raster.finer, field.lattice
-    if finer is None or not field.filled:
+    if finer is None or not field.filled or LOADED in field.provenance:
         return None
     is_known = has_known(finer.numbers)
     known = lattice.width * lattice.height - field.filled

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import TerrainError
 from ..field import store, store_folder
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
-from ..field.heightfield import HeightField
+from ..field.heightfield import LOADED, HeightField
 from ..field.lattice import Lattice, lattice_for
 from ..field.packing import copy_store
 from ..formats.archives import is_archive, unpacked
@@ -36,7 +36,7 @@ from .plausibility import ValueCheck
 from .read_ahead import remove_ahead
 from .refining import coarse_land, first_picture, refined
 from .source_list import absolute_source
-from .thinning import LOADED, REFINED, loaded_steps, thinned
+from .thinning import REFINED, loaded_steps, thinned
 from .tile_import import (
     Crew,
     ImportPart,

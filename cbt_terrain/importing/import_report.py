@@ -11,6 +11,7 @@ from ..field.georeference import to_crs
 from ..field.heightfield import HeightField
 from ..field.lands import LANDS
 from ..rasters.rounding import rounding_warnings
+from .covered import COVERED
 from .finer_import import finer_entries
 from .plausibility import ValueCheck, relief_warning
 from .thinning import loaded_entries
@@ -101,7 +102,7 @@ def describe(path: str | os.PathLike) -> dict:
         "path": str(path),
         "source": content["provenance"].get("settings", {}).get("source", ""),
         **_border(field),
-        **content["report"],
+        **{name: value for name, value in content["report"].items() if name != COVERED},
         "origin": content["origin"],
         "largest_error_m": float(field.table[group][error_codes.max()]),
         "bytes_per_sample": round(num_bytes / field.samples.size, 2),

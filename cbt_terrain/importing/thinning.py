@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..field.georeference import LARGEST_EXTENT, Georeference
+from ..field.heightfield import LOADED
 from ..rasters.raster import ImportSettings, Raster
 
 QUICK_SAMPLES = 9 << 19  # 4.7 million: 2 s of work after they are read
@@ -21,8 +22,8 @@ WORTHWHILE = 15
 MAX_UNPACKED = 1 << 31
 FINER = 8  # ratio of the coarse step to an overview's: a mean is off its position by up to 1/16 of the coarse step
 FROM_OVERVIEWS = {"loaded_from": "overviews"}  # entry of the report
-LOADED = "loaded_m"  # entry of an incomplete store's provenance
-REFINED = "refined_m"  # another one: metres between the samples of the loaded tiles, and their number
+# Entry of an incomplete store's provenance beside LOADED.
+REFINED = "refined_m"  # metres between the samples of the loaded tiles, and their number
 
 
 def stride_of(width: int, height: int, max_samples: int) -> int:

@@ -22,7 +22,7 @@ from ..sandbox.guard import guard_import
 from ..sandbox.store_job import READING, Tell, serve
 from .catalogue import earlier_paths
 from .mosaic_source import mosaic_raster, open_composite
-from .report import IMPORT_ENTRIES, describe_mosaic
+from .report import IMPORT_ENTRIES, covered_entry, describe_mosaic
 
 SCANNED = 0.05  # of the progress: headers are read
 
@@ -110,6 +110,8 @@ def run_mosaic_import(
             raster.warnings += details["warnings"]
             on_progress(SCANNED, READING, details | {"warnings": raster.warnings})
             raster.details |= {name: details[name] for name in IMPORT_ENTRIES if name in details}
+        if part is None:
+            raster.details |= covered_entry(composite)
         return raster
 
     with unpacked_sources(settings, path / store_folder.scratch_name(folder)) as files:

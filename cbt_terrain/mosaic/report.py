@@ -16,6 +16,7 @@ from ..field.codes import steps_of
 from ..field.finer_tiles import TILE_BYTES
 from ..field.lattice import fit
 from ..formats.archives import MAX_UNPACKED_BYTES, is_packed
+from ..importing.covered import COVERED, POINTS, covered_text
 from ..importing.drafts import work_bytes
 from ..rasters.file_grid import unit_of
 from ..rasters.raster import ImportSettings
@@ -26,7 +27,7 @@ from .mosaic_source import blend_metres, georeference_of
 from .seams import StepReport, find_seams
 from .systems import crs_of, projected
 
-COVERAGE_POINTS = 256  # along each axis
+MIN_GAP_PERCENT = 10.0  # of the extent; the report of an import says where larger gaps are
 FIRST_SIDE, MEASURED_SIDE = 129, 513  # samples of a small window, and of the one whose reading and building is timed
 MEASURED_POINTS = 64  # along each axis; a window's middle is one of them
 MAX_KINDS = 12
@@ -77,13 +78,29 @@ def describe_mosaic(composite: Composite, settings: ImportSettings) -> dict:
 
 
 def coverage(composite: Composite) -> tuple[float, float]:
-    """Return the fractions of the extent that several files cover, and that none covers, by their headers.
+    """Return the fractions of the extent that several files cover, and that none covers, by their headers."""
+    counts = _files_at(composite)
+    return float(np.mean(counts > 1)), float(np.mean(counts == 0))
 
-    A file covers half a cell beyond its outer samples. Points are spread evenly over the extent.
+
+def covered_entry(composite: Composite) -> dict:
+    """Return the report's entry with the points that files cover (importing/covered.py); {} without large gaps."""
+    grid, largest = composite.grid, 1.0 - MIN_GAP_PERCENT / 100.0  # fraction of the extent that files may cover
+    sides = composite.boxes[:, 2:] - composite.boxes[:, :2]
+    if float(sides.prod(axis=1).sum()) > largest * (grid.width - 1) * (grid.height - 1):
+        return {}  # known without a look at points, which takes a second for 10,000 files
+    is_covered = _files_at(composite)[::-1] > 0
+    return {COVERED: covered_text(is_covered)} if is_covered.mean() <= largest else {}
+
+
+def _files_at(composite: Composite) -> np.ndarray:
+    """Return the number of files that cover each of evenly spread points of the extent, by their headers.
+
+    A file covers half a cell beyond its outer samples. The result is int32 [POINTS, POINTS], row 0 north.
     """
     grid = composite.grid
-    columns = np.linspace(grid.column, grid.column + grid.width - 1, COVERAGE_POINTS)
-    rows = np.linspace(grid.row, grid.row + grid.height - 1, COVERAGE_POINTS)
+    columns = np.linspace(grid.column, grid.column + grid.width - 1, POINTS)
+    rows = np.linspace(grid.row, grid.row + grid.height - 1, POINTS)
     x, y = grid.positions(*np.meshgrid(columns, rows))
     counts = np.zeros(x.shape, np.int32)  # files that cover each point
     for lattice in composite.lattices:
@@ -95,7 +112,7 @@ def coverage(composite: Composite) -> tuple[float, float]:
             down = slice(*np.searchsorted(rows, [box[1], box[3]]))
             part_x, part_y = (values.reshape(x.shape)[down, across] for values in positions)
             counts[down, across] += lattice.covers(number, part_x, part_y)
-    return float(np.mean(counts > 1)), float(np.mean(counts == 0))
+    return counts
 
 
 def datum_warnings(composite: Composite) -> list[str]:

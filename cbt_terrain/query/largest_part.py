@@ -29,11 +29,12 @@ class PartSamples(NamedTuple):
     is_ground: np.ndarray
 
 
-def sample_largest_part(field: HeightField, count: int) -> PartSamples:
+def sample_largest_part(field: HeightField, count: int, covered: np.ndarray | None = None) -> PartSamples:
     """Return at most `count` samples a side of the largest connected part of a terrain's ground.
 
-    A terrain without holes and wide gaps is one part; so is one whose ground is missed by `count` samples a side. Finer
-    tiles count in a mosaic with wide gaps only.
+    A terrain without holes and gaps is one part; so is one whose ground is missed by `count` samples a side. Finer
+    tiles count in a mosaic with wide gaps only. covered: bool [rows, columns], points at which a file of a mosaic is,
+    spread evenly from the first sample to the last, row 0 south; None if all of it has ground or holes.
     """
     lattice, tiles = field.lattice, known_tiles_of(field)
     if tiles is not None and field.raster.finer is not None:  # a part may be smaller than a few samples of the raster
@@ -43,13 +44,13 @@ def sample_largest_part(field: HeightField, count: int) -> PartSamples:
         is_ground = tiles.is_known[np.ix_(rows // SIDE, columns // SIDE)]
         return _finer_samples(field, field.raster.finer, rows, columns, is_ground)
     rows, columns = _spread(0, lattice.height - 1, count), _spread(0, lattice.width - 1, count)
-    is_ground = _is_valid(field, rows, columns)
+    is_ground = _is_ground(field, covered, rows, columns)
     if is_ground.any() and not is_ground.all():
         # From the sample before the part to the one after it.
         (south, north), (west, east) = largest_box(is_ground)
         rows = _spread(rows[max(south - 1, 0)], rows[min(north, len(rows) - 1)], count)
         columns = _spread(columns[max(west - 1, 0)], columns[min(east, len(columns) - 1)], count)
-        is_ground = _is_valid(field, rows, columns)
+        is_ground = _is_ground(field, covered, rows, columns)
     else:
         is_ground = np.ones_like(is_ground)
     heights = field.heights(*np.ix_(rows, columns)).astype(np.float64)
@@ -61,11 +62,17 @@ def _spread(first: int, last: int, count: int) -> np.ndarray:
     return np.unique(np.linspace(first, last, count).round().astype(int))
 
 
-def _is_valid(field: HeightField, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return whether samples are in no hole, bool [rows, columns]."""
-    if field.valid is None:
+def _is_ground(field: HeightField, covered: np.ndarray | None, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return whether samples are in no hole, and near a point where a file is: bool [rows, columns].
+
+    covered: as in `sample_largest_part`. Marks of holes are more exact, so it counts only without them.
+    """
+    if field.valid is not None:
+        return field.valid[np.ix_(rows, columns)] > 0
+    if covered is None:
         return np.ones((len(rows), len(columns)), bool)
-    return field.valid[np.ix_(rows, columns)] > 0
+    sizes = zip((rows, columns), (field.lattice.height, field.lattice.width), covered.shape, strict=True)
+    return covered[np.ix_(*(np.rint(at * ((points - 1) / (size - 1))).astype(int) for at, size, points in sizes))]
 
 
 def _finer_samples(
@@ -84,7 +91,7 @@ def _finer_samples(
     inner_row, inner_column = 1 + rows[row] % SIDE, 1 + columns[column] % SIDE
     heights[row, column] = finer.heights[numbers[row, column], inner_row, inner_column]
     positions = _positions(field.lattice, rows, columns, parts=1 << finer.bits)
-    return PartSamples(*positions, heights, is_ground & _is_valid(field, raster_rows, raster_columns))
+    return PartSamples(*positions, heights, is_ground & _is_ground(field, None, raster_rows, raster_columns))
 
 
 def _positions(lattice: Lattice, rows: np.ndarray, columns: np.ndarray, parts: int) -> tuple[np.ndarray, np.ndarray]:

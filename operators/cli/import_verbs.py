@@ -21,6 +21,7 @@ def run_import(arguments) -> None:
 
     With --only it does one part of that; with --job it writes a farm's job for it instead. Raises UsageError.
     """
+    from ...cbt_terrain.importing.covered import COVERED
     from ...cbt_terrain.importing.import_process import import_source
     from ...cbt_terrain.importing.tile_import import TILED_PARTS, ImportPart
 
@@ -52,6 +53,7 @@ def run_import(arguments) -> None:
     printed = previews[0] if previews else {}  # only fields and warnings that are new or have changed are printed again
     report["warnings"] = [text for text in report.get("warnings", []) if text not in printed.get("warnings", ())]
     report.pop("seconds", None)  # without the start and the headers, which are in the time of the last line
+    report.pop(COVERED, None)  # 16,384 digits
     print_fields({name: value for name, value in report.items() if printed.get(name) != value})
     print_line(f"{arguments.store} is ready after {duration(time.monotonic() - start)}")
 

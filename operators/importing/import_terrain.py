@@ -27,6 +27,7 @@ from ..session.polls import run_nested
 from ..terrain import frame_terrain, request, sidebar
 from ..terrain.camera_source import follows_viewport
 from ..terrain.properties import built_in_land
+from ..text.gap_note import missing_text
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
 from .placement_notes import neighbour_notes, picture_note, scatter_note, unit_note
@@ -113,10 +114,9 @@ def summary(report: dict) -> str:
     """Describe an import in one line, from the report that the import wrote."""
     width, height = report["raster"]
     line = f"{width} x {height} samples, {plain(report['lowest_m'], 4)} to {plain(report['highest_m'], 4)} m"
-    if report["filled"]:
-        line += f", {report['filled']:,} without data filled"
-    if report.get("cut_out"):
-        line += f", {report['cut_out']:,} without data cut out"
+    for name, verb in (("filled", "filled"), ("cut_out", "cut out")):
+        if count := report.get(name):
+            line += f", {missing_text(count, width * height)} without data {verb}"
     if report.get("loaded"):
         line += f", loaded {report['loaded']}"
     if report["source_step_m"] >= SMALLEST:

@@ -12,6 +12,7 @@ from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.field import store as stores
 from ...cbt_terrain.field.georeference import LARGEST_EXTENT, Place, known_place
 from ...cbt_terrain.field.lands import LANDS
+from ...cbt_terrain.importing.covered import COVERED
 from ...cbt_terrain.importing.source_list import absolute_source
 from ...cbt_terrain.importing.thinning import loaded_m, refined_m
 from ...cbt_terrain.rasters.raster import ImportSettings
@@ -42,6 +43,7 @@ class Imported:
     warnings: tuple[str, ...] = ()
     place: Place | None = None  # affine map from metres about the middle to the CRS, None if unknown
     filled: int = 0  # samples without data whose heights were interpolated
+    covered: str = ""  # where the files of a mosaic with large gaps are (cbt_terrain/importing/covered.py), unchecked
     ground_fraction: float = 1.0  # of the raster, without holes and wide gaps
     is_shaped: bool = False  # a stack of land effects has made the heights
 
@@ -90,6 +92,7 @@ def _read_store(folder: str, _changed_ns: int) -> Imported | None:
         warnings=tuple(shown(text, LONGEST_WARNING) for text in report.get("warnings", [])[:MAX_WARNINGS]),
         place=known_place(tuple(content.get("place", ())) or None, content["crs"], content["origin"]),
         filled=_count(report, "filled"),
+        covered=report.get(COVERED, ""),
         ground_fraction=_ground_fraction(report, math.prod(raster)),
         is_shaped="shaped" in content["provenance"],
     )

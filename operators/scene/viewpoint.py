@@ -13,6 +13,8 @@ from bpy.app.handlers import persistent
 from mathutils import Matrix, Vector
 
 from ...cbt_terrain.field.heightfield import HeightField
+from ...cbt_terrain.importing.covered import covered_points
+from ..importing.imported import imported_of
 from ..land import shaped_land
 from ..terrain import frame_terrain, sight
 from .built import CAMERA, find_built
@@ -107,7 +109,8 @@ def view_across(obj) -> tuple[Matrix, float]:
     store.
     """
     settings, field = obj.adaptive_terrain, shaped_land.field_of(obj)
-    part, water_level = _ground_of(field)
+    imported = imported_of(settings)
+    part, water_level = _ground_of(field, covered_points(imported.covered) if imported is not None else None)
     scale, offset = settings.vertical_scale, settings.vertical_offset
     part = part._replace(heights=part.heights * scale + offset)
     eye, azimuth = _best_view(part, water_level * scale + offset)
@@ -120,15 +123,16 @@ def view_across(obj) -> tuple[Matrix, float]:
     return Matrix.Translation(to_world @ Vector(eye)) @ turn, distance
 
 
-def _ground_of(field: HeightField) -> tuple["PartSamples", float]:
+def _ground_of(field: HeightField, covered: np.ndarray | None) -> tuple["PartSamples", float]:
     """Return samples of a terrain's largest part in its own space, and the level of water.
 
     Ground up to this level counts as water that a view should show: the sea, or inland the lowest part (INLAND). Metres
     of the height map, without vertical scale and offset. Holes have the lowest height; a sea is flat at 0.
+    covered: points where a file of a mosaic is, as in `sample_largest_part`.
     """
     from ...cbt_terrain.query.largest_part import sample_largest_part
 
-    part = sample_largest_part(field, SAMPLES)
+    part = sample_largest_part(field, SAMPLES, covered)
     is_ground = part.is_ground & np.isfinite(part.heights)
     known = part.heights[is_ground]
     is_coast = (known <= 0.0).mean() >= MIN_SEA

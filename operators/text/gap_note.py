@@ -18,6 +18,12 @@ def gap_note(field) -> str:
     return f". {gap_percent(percent)} of its rectangle is {gaps}"
 
 
+def missing_text(count: int, samples: int) -> str:
+    """Return the number of samples without data as a text, from MIN_PERCENT on as a percentage of all samples."""
+    percent = 100.0 * count / samples
+    return gap_percent(percent) if percent >= MIN_PERCENT else f"{count:,}"
+
+
 def gap_percent(percent: float) -> str:
     """Return the percentage of a rectangle that is gaps as a text, below 100 %."""
     return f"{plain(min(percent, 99.99), 4)} %"

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import rasterio
+from adaptive_terrain.cbt_terrain.importing.covered import covered_points
 from adaptive_terrain.cbt_terrain.mosaic import report
 from adaptive_terrain.cbt_terrain.mosaic.composite import Composite
 from adaptive_terrain.cbt_terrain.mosaic.edges import find_edges
@@ -14,6 +15,7 @@ from adaptive_terrain.cbt_terrain.mosaic.mosaic_source import open_composite
 from adaptive_terrain.cbt_terrain.mosaic.report import (
     _expected_seconds,
     coverage,
+    covered_entry,
     datum_warnings,
     describe_mosaic,
 )
@@ -102,6 +104,19 @@ def test_coverage_counts_cells(tmp_path, pair):
     assert coverage(opened(*pair)) == (pytest.approx(10 / 580, abs=0.01), 0.0)
     far = sheet(UTM32, EAST + 800, NORTH, 10.0, 10.0, 40, 59).write(tmp_path / "far.tif")
     assert coverage(opened(*pair, far))[1] == pytest.approx(400 / 1190, abs=0.01)
+
+
+def test_the_points_of_files_are_reported_with_large_gaps(tmp_path, pair):
+    """The second file is in the south-east of the first one."""
+    assert covered_entry(opened(*pair)) == {}
+    files = [
+        sheet(UTM32, EAST + x, NORTH - y, 10.0, 10.0, columns, rows).write(tmp_path / f"{x}.tif")
+        for x, y, columns, rows in ((0, 0, 40, 30), (900, 1400, 30, 20))
+    ]
+    points = covered_points(covered_entry(opened(*files))["covered"])
+    x, y = np.linspace(5.0, 1195.0, 256), np.linspace(1595.0, 5.0, 256)[:, None]  # metres east and south, row 0 south
+    expected = (x < 400) & (y < 300) | (x > 900) & (y > 1400)
+    assert (points != expected).mean() < 0.002 and points.shape == expected.shape
 
 
 @pytest.mark.parametrize("quick", [0, 1_000_000])

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
-from adaptive_terrain.cbt_terrain.field.known_ground import ground_fraction
+from adaptive_terrain.cbt_terrain.field.known_ground import ground_fraction, known_tiles_of
 from adaptive_terrain.cbt_terrain.field.store import open_store
 from adaptive_terrain.cbt_terrain.height_operators.water_surface import default_sea
 from adaptive_terrain.cbt_terrain.importing import refining
@@ -155,6 +155,13 @@ def test_the_largest_part_of_islands_is_one_of_them(islands):
     a, _, c, _, e, f = field.raster.place
     expected = one.at(UTM32, *(positions[known] * (a, e) + (c, f)).T)
     assert np.abs(part.heights.ravel()[known] - expected).max() <= field.source_max + 1e-3
+
+
+def test_an_incomplete_import_has_no_known_gap(islands):
+    """Files whose finer tiles are not loaded yet are on the raster alone."""
+    field = open_store(islands[1] / "store")
+    assert known_tiles_of(field).is_known.any()
+    assert known_tiles_of(field.with_raster(provenance=field.provenance | {"loaded_m": [4.0, 2.0]})) is None
 
 
 def test_scattered_points_are_near_files_only(islands, monkeypatch):

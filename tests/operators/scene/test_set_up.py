@@ -8,15 +8,18 @@ import bpy
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
+from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.query.largest_part import PartSamples
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.bridge.camera import view_from_camera
+from adaptive_terrain.operators.importing.imported import imported_of
 from adaptive_terrain.operators.layers.properties import add_default_layers
 from adaptive_terrain.operators.scene import defaults, viewpoint
 from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
 from adaptive_terrain.operators.terrain import sight
 from mathutils import Matrix
+from mosaic_files import EAST, NORTH, sheet
 from rasterio import Affine
 from rasters import write_raster
 from rendered_pictures import pixels_of
@@ -311,6 +314,23 @@ def test_the_view_across_stands_on_ground(factory, add_terrain, tmp_path, gap):
     assert seen[0] and seen.mean() * inside.mean() > 0.8
     assert 0.0 < eye[2] - heights[at[0, 1], at[0, 0]] < 150.0
     assert distance < 1000.0 if gap == "island" else distance > 2000.0
+
+
+@pytest.mark.parametrize("quick", [0, 2000])
+def test_the_view_across_stands_on_a_file_of_a_mosaic(factory, add_terrain, tmp_path, quick):
+    """The gap beside the diagonal of its files is filled. A quick import has every 16th sample."""
+    for k in range(9):
+        one = sheet("EPSG:32632", EAST + 500.0 * k, NORTH - 500.0 * k, 10.0, 10.0, 50, 50)
+        one.write(tmp_path / "files" / f"{k}.tif")
+    run_mosaic_import(ImportSettings(str(tmp_path / "files"), quick=quick), tmp_path / "store")
+    terrain = add_terrain()
+    terrain.adaptive_terrain.store = str(tmp_path / "store")
+    to_world, _ = viewpoint.view_across(terrain)
+    eye, ahead = np.array(to_world.translation), -np.array(to_world.col[2].xyz)
+    for metres in (0.0, 150.0):
+        # The files' diagonal goes from the north-west to the south-east; it is 500 m wide along both axes.
+        assert abs(eye[0] + eye[1] + metres * (ahead[0] + ahead[1])) < 500.0
+    assert imported_of(terrain.adaptive_terrain).raster == ((30, 30) if quick else (450, 450))
 
 
 def test_the_viewport_looks_through_a_new_camera(factory, add_terrain, monkeypatch):

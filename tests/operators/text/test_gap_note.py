@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from adaptive_terrain.operators.text.gap_note import gap_note, gap_percent
+from adaptive_terrain.operators.text.gap_note import gap_note, gap_percent, missing_text
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,10 @@ from adaptive_terrain.operators.text.gap_note import gap_note, gap_percent
 )
 def test_a_note_names_gaps_from_a_tenth_on(filled, valid, expected):
     assert gap_note(SimpleNamespace(filled=filled, valid=valid, samples=np.zeros((100, 100)))) == expected
+
+
+def test_many_missing_samples_are_a_percentage():
+    assert missing_text(9_999, 100_000) == "9,999" and missing_text(10_000, 100_000) == "10 %"
 
 
 def test_a_percentage_of_gaps_is_below_100():

@@ -148,9 +148,9 @@ def test_import_says_what_it_did():
 
     report = {"raster": [5, 4], "lowest_m": -1.5, "highest_m": 80.0, "filled": 3, "cut_out": 0, "source_step_m": 0.5}
     assert summary(report) == (
-        "5 x 4 samples, -1.5 to 80 m, 3 without data filled, rounded by the source itself to ±0.5 m"
+        "5 x 4 samples, -1.5 to 80 m, 15 % without data filled, rounded by the source itself to ±0.5 m"
     )
-    assert summary(report | {"source_step_m": 0.0}).endswith(", 3 without data filled")
+    assert summary(report | {"source_step_m": 0.0}).endswith(", 15 % without data filled")
 
 
 def test_lock_interface_button(scene):

@@ -4,6 +4,7 @@
 A child process asks PROJ for longitude and latitude, since GDAL clashes with Blender. Heights count from the ellipsoid.
 """
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,7 +72,7 @@ def _earth_centred(placing: Placing, positions: np.ndarray, folder: Path) -> tup
     """
     with private_folder(folder) as private:
         path = private / "coordinates.npy"
-        np.save(path, placing.from_terrain(positions[:, :2]))
+        _save(path, placing.from_terrain(positions[:, :2]))
         ask(MODULE, {"crs": placing.crs, "path": str(path.absolute())}, f"the coordinate system {placing.crs}")
         longitude, latitude = np.radians(np.load(path)).T
     semi_major, inverse_flattening = WGS84
@@ -102,5 +103,12 @@ def _answer(request: dict, *_: object) -> dict:
     child.end_with_parent()
     x, y = np.load(request["path"]).T
     degrees = transform(CRS.from_string(request["crs"]), CRS.from_epsg(4326), x.tolist(), y.tolist())
-    np.save(request["path"], np.stack(degrees, -1))
+    _save(Path(request["path"]), np.stack(degrees, -1))
     return {}
+
+
+def _save(path: Path, array: np.ndarray) -> None:
+    """Write an array as .npy. `np.save` into a file would not name the reason of a failure. Raises OSError."""
+    content = io.BytesIO()
+    np.save(content, array)
+    path.write_bytes(content.getvalue())

@@ -88,7 +88,7 @@ def write_array(file: Path, array: np.ndarray) -> None:
     """Write the file of a contiguous array, which appears when it is complete. Raises OSError."""
     with partial_files.written_beside(file) as partial, partial.open("wb") as handle:
         handle.write(header(array.shape, array.dtype))
-        array.tofile(handle)
+        handle.write(array.data)  # `tofile` would not name the reason of a failure
         handle.write(all_checksums(array))
 
 

@@ -97,7 +97,7 @@ def read_npz(path: str | os.PathLike) -> dict:
             entries = {name.removesuffix(".npy"): _array(archive, name) for name in archive.namelist()}
         if "info" not in entries:
             raise ValueError("it has no entry 'info'")
-        info = json.loads(str(entries["info"]))
+        info = json.loads(str(entries["info"]), parse_constant=_refuse_constant)
         if not isinstance(info, dict):
             raise ValueError("its entry 'info' is no JSON object")
     except OSError as reason:
@@ -111,6 +111,11 @@ def read_npz(path: str | os.PathLike) -> dict:
             f"The file is not an .npz that this add-on exported: {why}", where=shown(path), fix="export it again"
         ) from reason
     return entries | {"info": info}
+
+
+def _refuse_constant(name: str) -> None:
+    """Raise ValueError for NaN or Infinity, which are no JSON, in `info`."""
+    raise ValueError(f"its entry 'info' has the number {name}")
 
 
 def _to_json(value: object) -> object:

@@ -8,7 +8,6 @@ one line.
 
 import argparse
 import gc
-import json
 import re
 import signal
 import sys
@@ -16,7 +15,7 @@ from typing import NoReturn
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
-from ..text.console import LONGEST_LINE, OPENJD, open_streams, print_line, why_stdout_failed
+from ..text.console import LONGEST_LINE, OPENJD, open_streams, print_json, print_line, why_stdout_failed
 from . import verbs
 from .parser import PROGRAM, build_parser
 
@@ -54,16 +53,24 @@ def _run(argv: list[str] | None) -> int:
     except SystemExit as exit_:  # argparse has printed its message
         return exit_.code or 0
     except verbs.UsageError as error:
-        print_line(f"{PROGRAM} {arguments.verb}: error: {shown(error, LONGEST_LINE)}", file=sys.stderr)
+        _print_error({"what": str(error)}, shown(error, LONGEST_LINE), arguments.json_errors, f" {arguments.verb}")
         return 2
     except (TerrainError, OSError) as error:
         message = why_stdout_failed(error) or shown(_error_text(error), LONGEST_LINE)
         fields = error.to_json() if isinstance(error, TerrainError) else {"what": str(message)}
-        print_line(json.dumps(fields) if arguments.json_errors else f"{PROGRAM}: error: {message}", file=sys.stderr)
+        _print_error(fields, message, arguments.json_errors)
         if arguments.progress == OPENJD:
             print_line(message, "openjd_fail")
         return 1
     return 0
+
+
+def _print_error(fields: dict, message: object, as_json: bool, verb: str = "") -> None:
+    """Print an error on stderr as one line: its fields as JSON, or its message after the program and the verb."""
+    if as_json:
+        print_json(fields, sys.stderr)
+    else:
+        print_line(f"{PROGRAM}{verb}: error: {message}", file=sys.stderr)
 
 
 def _error_text(error: TerrainError | OSError) -> object:
@@ -76,12 +83,14 @@ def _error_text(error: TerrainError | OSError) -> object:
 def _build_parser_without_gc(words: list[str]) -> argparse.ArgumentParser:
     """Build the parser, with the options of the verb in `words` alone, the first word that is no option.
 
-    Garbage collection would search all imported modules for 0.1 s.
+    `--json` before it makes the parser print wrong usage as JSON. Garbage collection would search all imported modules
+    for 0.1 s.
     """
-    chosen = next((word for word in words if not word.startswith("-")), "")
+    first = next((n for n, word in enumerate(words) if not word.startswith("-")), len(words))
+    chosen, json_errors = "".join(words[first : first + 1]), "--json" in words[:first]
     gc.disable()
     try:
-        return build_parser(chosen)
+        return build_parser(chosen, json_errors)
     finally:
         gc.enable()
 

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The verbs `import` and `info`."""
 
-import json
 import os
 import sys
 import time
 from dataclasses import fields
 from pathlib import Path
 
-from ..text.console import Progress, duration, print_line
+from ..text.console import Progress, duration, print_json, print_line
 from .verbs import UsageError, print_fields
 
 # Tiles in a task of a farm's job. A task takes 5 s of processor time to start and 2 s to measure a tile of 2048 x 2048
@@ -82,7 +81,7 @@ def run_info(arguments) -> None:
         _verify_store(arguments.paths[0])
     fields = _all_versions() if arguments.versions else _described(arguments, is_store)
     if arguments.as_json:
-        print_line(json.dumps(fields))
+        print_json(fields)
     else:
         print_fields(fields)
 

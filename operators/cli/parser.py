@@ -2,12 +2,14 @@
 """The parser of the command line: verbs, their options and the functions that carry them out."""
 
 import argparse
+import functools
 import importlib.util
+import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
-from ..text.console import BAR, OPENJD
+from ..text.console import BAR, OPENJD, print_json
 from . import farm_options, farm_verbs, import_options, import_verbs, tile_verbs, verbs
 from .argument_types import (
     MAX_ERROR_M,
@@ -98,16 +100,32 @@ def _verbs() -> dict[str, Verb]:
     return found
 
 
-def build_parser(chosen: str | None = None) -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """A parser of arguments. `json_errors`: print wrong usage as one JSON object instead of the usage and a line."""
+
+    def __init__(self, *arguments, json_errors: bool = False, **options):
+        super().__init__(*arguments, **options)
+        self.json_errors = json_errors
+
+    def error(self, message: str) -> NoReturn:
+        """Print wrong usage on stderr and exit with code 2."""
+        if not self.json_errors:
+            super().error(message)
+        print_json({"what": message}, sys.stderr)
+        self.exit(2)
+
+
+def build_parser(chosen: str | None = None, json_errors: bool = False) -> argparse.ArgumentParser:
     """Build the parser of all verbs. Each verb sets `run`, the function that carries it out.
 
     `chosen`: the only verb that gets its options, since the options of all import the whole engine; None: every verb.
+    `json_errors`: whether wrong usage is printed as JSON.
     """
-    parser = argparse.ArgumentParser(
-        prog=PROGRAM, description="A terrain at exactly the detail that the camera can see."
-    )
+    about = "A terrain at exactly the detail that the camera can see."
+    parser = Parser(prog=PROGRAM, description=about, json_errors=json_errors)
     parser.add_argument("--json", dest="json_errors", action="store_true", help="print an error as JSON")
-    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    verb_class = functools.partial(Parser, json_errors=json_errors)
+    subparsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=verb_class)
     for name, (summary, run, add_options) in _verbs().items():
         verb = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         verb.set_defaults(run=run)

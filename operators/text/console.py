@@ -2,6 +2,7 @@
 """The command line's output: a progress bar, lines for render farms, and suppressed output of other code."""
 
 import ctypes
+import json
 import os
 import sys
 import time
@@ -35,6 +36,14 @@ def print_line(text: object, message: str = "", file=None) -> None:
     elif line.startswith(MESSAGE):
         line = f" {line}"
     print(line, file=file, flush=True)
+
+
+def print_json(content: object, file=None) -> None:
+    """Print JSON as one line of any length: a part of it would be no JSON.
+
+    content: numbers, texts, lists and dicts. file: standard output by default.
+    """
+    print(json.dumps(content), file=file, flush=True)
 
 
 class Progress:

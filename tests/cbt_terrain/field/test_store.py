@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Stores: written atomically, opened by mapping, damaged ones refused."""
 
+import errno
 import json
 import math
 import os
@@ -363,3 +364,17 @@ def test_arrays_begin_on_a_page(tmp_path):
     file = draft.folder / "ranges.npy"
     assert file.stat().st_size == 4096 + 20 + 4  # with one checksum
     assert np.array_equal(np.load(file), np.arange(10).reshape(5, 2))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no limit of file sizes")
+def test_an_array_that_does_not_fit_names_the_reason(tmp_path):
+    import resource
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))
+    try:
+        with pytest.raises(OSError) as failure:
+            store_arrays.write_array(tmp_path / "a.npy", np.zeros(10_000, np.float32))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert failure.value.errno == errno.EFBIG and list(tmp_path.iterdir()) == []

@@ -126,3 +126,13 @@ def test_a_file_that_is_no_export_gives_one_sentence(surface, tmp_path, how):
     with pytest.raises(TerrainError, match="(not an .npz that this add-on exported|cannot be read).*a.npz") as caught:
         read_npz(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_number_that_json_lacks_is_refused(surface, tmp_path):
+    write_npz(tmp_path / "a.npz", surface, info={"bound_m": 1.5})
+    with np.load(tmp_path / "a.npz") as file:
+        entries = dict(file)
+    entries["info"] = np.array(str(entries["info"]).replace("1.5", "NaN"))
+    np.savez(tmp_path / "b.npz", **entries)
+    with pytest.raises(TerrainError, match="has the number NaN"):
+        read_npz(tmp_path / "b.npz")

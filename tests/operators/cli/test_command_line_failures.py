@@ -75,7 +75,7 @@ def test_help_imports_only_what_its_verb_needs(words):
 
 
 def test_an_interruption_is_one_line(monkeypatch, capsys):
-    def interrupted(_chosen):
+    def interrupted(*_):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command_line, "build_parser", interrupted)
@@ -259,3 +259,19 @@ def test_json_prints_the_fields_of_an_error(tmp_path, capsys):
     assert run("--json", "info", missing) == 1
     fields = json.loads(capsys.readouterr().err)
     assert str(missing) in fields["what"] and fields["expected"] == "the file of a height map"
+
+
+@pytest.mark.parametrize("words", [["none"], [], ["bake", "--max-error", "0"], ["info"]])
+def test_json_prints_wrong_usage_as_json(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("--json", *words) == 2
+    printed = capsys.readouterr()
+    assert printed.out == "" and json.loads(printed.err)["what"]
+    assert run(*words) == 2 and "error: " in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_long_description_is_whole_json(tmp_path, capsys, monkeypatch):
+    name = "s" * 20_000
+    monkeypatch.setattr("adaptive_terrain.operators.cli.import_verbs._described", lambda *_: {"crs": name})
+    assert run("info", "--json", tmp_path) == 0
+    assert json.loads(capsys.readouterr().out) == {"crs": name}

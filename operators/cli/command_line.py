@@ -55,7 +55,8 @@ def _run(argv: list[str] | None) -> int:
     except verbs.UsageError as error:
         _print_error({"what": str(error)}, shown(error, LONGEST_LINE), arguments.json_errors, f" {arguments.verb}")
         return 2
-    except (TerrainError, OSError) as error:
+    except (TerrainError, OSError, MemoryError) as reason:
+        error = _too_little_memory(reason) if isinstance(reason, MemoryError) else reason
         message = why_stdout_failed(error) or shown(_error_text(error), LONGEST_LINE)
         fields = error.to_json() if isinstance(error, TerrainError) else {"what": str(message)}
         _print_error(fields, message, arguments.json_errors)
@@ -71,6 +72,12 @@ def _print_error(fields: dict, message: object, as_json: bool, verb: str = "") -
         print_json(fields, sys.stderr)
     else:
         print_line(f"{PROGRAM}{verb}: error: {message}", file=sys.stderr)
+
+
+def _too_little_memory(reason: MemoryError) -> TerrainError:
+    """Return the error for memory that the system does not give; reason: has what was requested, or no text."""
+    what = f"The memory does not suffice ({reason})" if str(reason) else "The memory does not suffice"
+    return TerrainError(what, fix="ask for less detail or fewer samples, or raise the limit of memory")
 
 
 def _error_text(error: TerrainError | OSError) -> object:

@@ -275,3 +275,14 @@ def test_a_long_description_is_whole_json(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("adaptive_terrain.operators.cli.import_verbs._described", lambda *_: {"crs": name})
     assert run("info", "--json", tmp_path) == 0
     assert json.loads(capsys.readouterr().out) == {"crs": name}
+
+
+def test_too_little_memory_is_one_line(monkeypatch, capsys):
+    def allocate(_arguments):
+        raise MemoryError("Unable to allocate 10.2 MiB")
+
+    monkeypatch.setattr("adaptive_terrain.operators.cli.verbs.run_effects", allocate)
+    assert run("effects") == 1
+    said = capsys.readouterr().err
+    assert "memory does not suffice (Unable to allocate 10.2 MiB)" in said and said.count("\n") == 1
+    assert run("--json", "effects") == 1 and "memory" in json.loads(capsys.readouterr().err)["what"]

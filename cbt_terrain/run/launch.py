@@ -27,6 +27,8 @@ SLICE_ITEMS = 20_000
 # Items of one launch: `wp.tid()` is int32.
 MAX_LAUNCH = 1 << 30
 
+MAX_THREADS = 16  # of the pool; results do not depend on their number
+
 _pool: ThreadPoolExecutor | None = None
 _starting = locks.SharedLock()
 _times = threading.local()
@@ -39,9 +41,9 @@ def default_threads() -> int:
 
 
 def checked_threads(threads: int | None) -> int:
-    """Return the number of threads of a job: `default_threads` for None, and at least one. Raises TerrainError."""
+    """Return the number of threads of a job: `default_threads` for None, from 1 to MAX_THREADS. Raises TerrainError."""
     threads = plain_number(threads, int | None, "The number of threads")
-    return default_threads() if threads is None else max(1, threads)
+    return default_threads() if threads is None else min(max(1, threads), MAX_THREADS)
 
 
 @contextmanager
@@ -93,11 +95,11 @@ def together(jobs: Sequence[Callable[[], None]]) -> None:
 
 
 def _shared_pool() -> ThreadPoolExecutor:
-    """Return the process's pool of 16 threads, created on first use; further jobs wait for a free one."""
+    """Return the process's pool of MAX_THREADS threads, created on first use; further jobs wait for a free one."""
     global _pool
     with _starting:
         if _pool is None:
-            _pool = ThreadPoolExecutor(max_workers=16, thread_name_prefix="adaptive_terrain")
+            _pool = ThreadPoolExecutor(max_workers=MAX_THREADS, thread_name_prefix="adaptive_terrain")
         return _pool
 
 

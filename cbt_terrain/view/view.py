@@ -124,6 +124,8 @@ class View:
         width, height = resolution = _check_resolution(resolution)
         fov_deg, roll_deg = plain_number(fov_deg, float, "The field of view"), plain_number(roll_deg, float, "The roll")
         ortho_width = plain_number(ortho_width, float, "The width of the orthographic view")
+        if kind == ORTHOGRAPHIC and not 0 < ortho_width < math.inf:
+            raise TerrainError(f"The orthographic view is {ortho_width} metres wide", expected="more than 0")
         start, end = clip = plain_number(clip, tuple[float, float], "The clip range")
         if kind == PERSPECTIVE and not 1e-7 < fov_deg < 180:
             raise TerrainError(f"The field of view is {fov_deg} degrees", expected="more than 1e-7 and less than 180")

@@ -92,3 +92,7 @@ def test_an_interrupted_wait_ends_after_all_jobs(interruptible):
     with pytest.raises(KeyboardInterrupt):
         launch.together([lambda: None, other])
     assert ended.is_set()
+
+
+def test_more_threads_than_the_pool_has_are_not_used():
+    assert [launch.checked_threads(n) for n in (-1, 1, 3, 10**6)] == [1, 1, 3, 16]

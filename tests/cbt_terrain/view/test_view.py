@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Views and their packing: projection, frustum planes, refusals."""
 
+import math
+
 import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
@@ -70,3 +72,9 @@ def test_what_cannot_be_a_view_is_refused():
         View.look((0, 0, 1), (1, 0, 0), clip=(5, 5))
     with pytest.raises(TerrainError, match="different points"):
         View.look((0, 0, 0), (0, 0, 0))
+
+
+@pytest.mark.parametrize("width", [0.0, -2.0, math.inf, math.nan])
+def test_an_orthographic_view_has_a_width(width):
+    with pytest.raises(TerrainError, match="metres wide"):
+        View.look((0, 0, 5), (0, 0, 0), kind=ORTHOGRAPHIC, ortho_width=width)

@@ -75,7 +75,7 @@ def _print_error(fields: dict, message: object, as_json: bool, verb: str = "") -
 
 
 def _too_little_memory(reason: MemoryError) -> TerrainError:
-    """Return the error for memory that the system does not give; reason: has what was requested, or no text."""
+    """Return the error for memory that the system refuses. The text of `reason` says how much, or is empty."""
     what = f"The memory does not suffice ({reason})" if str(reason) else "The memory does not suffice"
     return TerrainError(what, fix="ask for less detail or fewer samples, or raise the limit of memory")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shift objects in all frames, and keep what stands on a terrain in place while the terrain's origin moves."""
+"""Shift objects in all frames, and keep a terrain's children in place while its origin moves."""
 
 import numpy as np
 from mathutils import Matrix, Vector

@@ -74,7 +74,7 @@ def test_the_mesh_is_shaded_as_its_ground(interpolation):
 
 
 def test_light_has_the_slope_of_the_ground():
-    """A plane hides nothing of its own half space: the sky is (1 + cos 45) / 2, by sweeps and by rays."""
+    """Above a plane, sweeps and rays see (1 + cos 45) / 2 of the sky."""
     heights = plane()
     places, known = every_sample(from_array(heights, STEP_X, STEP_Y, holes=True)), np.isfinite(heights).ravel()
     assert abs(made("sky", places)[known] - (1.0 + math.sqrt(0.5)) / 2.0).max() < 2e-3
@@ -150,7 +150,7 @@ def test_land_with_holes_is_imported_again(tmp_path):
 
 
 def test_levels_of_an_older_version_are_computed_again(tmp_path, monkeypatch):
-    """Levels beside holes have a name of their own in a store, and are found there; without holes it is the old one."""
+    """Levels with holes have another name in a store, and are found there; without holes it is the old one."""
     monkeypatch.setattr(derived_arrays, "MIN_CACHED", 1000)
     np.save(tmp_path / "a.npy", plane())
     for cut, name in (True, pyramid.BESIDE_HOLES), (False, pyramid.PYRAMID):

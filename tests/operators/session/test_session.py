@@ -92,7 +92,7 @@ def test_a_mesh_changed_by_hand_is_written_again(scene, add_terrain):
 
 
 def test_an_update_of_the_same_view_leaves_the_mesh_alone(scene, add_terrain):
-    """A vertex that the session does not compare keeps what a script gave it."""
+    """A vertex that the session does not compare keeps the position that a script sets."""
     terrain = add_terrain()
     session.update_object(terrain)
     terrain.data.vertices[1].co.z = 12345.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A video edit shows a scene by strips, each with a camera of its own."""
+"""A video edit shows a scene by strips, each with its own camera."""
 
 import bpy
 import numpy as np

@@ -24,7 +24,7 @@ from ..maps.properties import map_folder
 from ..session import session
 from ..text.numbers import plain
 from .incomplete import check_complete
-from .store_location import folder_beside, lies_beside, source_name
+from .store_location import folder_beside, is_beside, lies_beside, source_name
 
 OnProgress = Callable[[float], None]
 
@@ -141,11 +141,11 @@ def _maps_of(obj, target: str) -> dict[str, str]:
 def _packed_path(obj, folder: Path, content: dict, targets: set[str]) -> str:
     """Return the path where packing puts a terrain's store.
 
-    folder: its present folder. Below the .blend file's folder it stays, under a relative path; otherwise a free
+    folder: its present folder. Beside the .blend file (`is_beside`) it stays, under a relative path; otherwise a free
     folder there is chosen. content: the store's JSON. targets: paths that other stores get. Raises TerrainError if
     packing may not write there.
     """
-    if folder.is_relative_to(real_path(bpy.data.filepath).parent):
+    if is_beside(folder):
         return bpy.path.relpath(str(folder))
     return _free_folder(folder_beside(obj, source_name(obj)), content, targets)
 

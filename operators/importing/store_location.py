@@ -7,6 +7,7 @@ they are moved out of it when Blender starts.
 
 import itertools
 import os
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -51,11 +52,23 @@ def is_shared(store: str) -> bool:
 
 
 def lies_beside(settings) -> bool:
-    """Return whether a terrain's store has a path relative to the .blend file and is in its folder."""
+    """Return whether a terrain's store has a path relative to the .blend file and is moved with it."""
     if not bpy.data.filepath or not settings.store.startswith(RELATIVE):
         return False
-    folder = real_path(absolute_path(settings.store))
-    return folder.is_relative_to(real_path(bpy.data.filepath).parent)
+    return is_beside(real_path(absolute_path(settings.store)))
+
+
+def is_beside(folder: Path) -> bool:
+    """Return whether a folder without links is below that of the saved .blend file and is moved with it.
+
+    A file in the home folder has the data folder and perhaps the temporary folder below it. Those are not moved with
+    the file, unless it is in them, too.
+    """
+    above = real_path(bpy.data.filepath).parent
+    others = map(real_path, [data_folder(), *old_folders(), tempfile.gettempdir()])
+    return folder.is_relative_to(above) and not any(
+        folder.is_relative_to(other) and not above.is_relative_to(other) for other in others
+    )
 
 
 def can_write_beside() -> bool:

@@ -196,6 +196,27 @@ def test_an_absolute_path_beside_the_file_becomes_relative(scene, add_terrain, t
     assert len(list((tmp_path / "terrain").iterdir())) == 1, "nothing was copied"
 
 
+@pytest.mark.parametrize("place", ["data", "temporary"])
+def test_blenders_own_folders_below_the_file_are_not_beside(scene, add_terrain, store, tmp_path, monkeypatch, place):
+    """A file in the home folder, which holds the data folder and perhaps the temporary one."""
+    own = tmp_path / ".config" / "stores"
+    if place == "data":
+        monkeypatch.setattr(store_location, "data_folder", lambda: own)
+    else:
+        monkeypatch.setattr("tempfile.tempdir", str(own))
+    shutil.copytree(store, own / "hills")
+    terrain = add_terrain()
+    for path in (str(own / "hills"), "//.config/stores/hills"):  # the second one as earlier versions packed it
+        terrain.adaptive_terrain.store = path
+        save_and_pack(tmp_path)
+        assert terrain.adaptive_terrain.store == "//terrain/valley_Terrain_store"
+        assert absolute(terrain) == tmp_path.resolve() / "terrain" / "valley_Terrain_store"
+        assert open_store(absolute(terrain)).key == open_store(own / "hills").key
+    monkeypatch.undo()
+    terrain.adaptive_terrain.store = "//.config/stores/hills"
+    assert lies_beside(terrain.adaptive_terrain), "a folder of the user's"
+
+
 def test_a_missing_store_is_told_and_no_path_changes(scene, add_terrain, tmp_path):
     terrain = add_terrain()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "valley.blend"))

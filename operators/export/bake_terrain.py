@@ -20,6 +20,7 @@ from ..bridge.writer import write_mesh
 from ..kernel_operator import KernelOperator
 from ..land.request import land_of
 from ..land.shape_land import check_is_shaped
+from ..scene.haze import without_haze
 from ..session import session
 from ..session.polls import TerrainObjectOperator, cancelled_by_errors
 from ..terrain.request import RENDER, Request, gather
@@ -31,8 +32,9 @@ from ..text.shown_bounds import bound_text, limit_text
 def bake_object(obj, depsgraph, error_m: float, fitted: bool = False):
     """Add an ordinary object at the place of the terrain `obj`, whose mesh is at most `error_m` metres off in height.
 
-    It has the terrain's materials and modifiers, and the attributes that renders and viewports read. Return it and the
-    engine's Update. A limit of triangles may make the error larger. Raises TerrainError.
+    It has the terrain's materials, as copies without haze if they have haze, its modifiers, and the attributes that
+    renders and viewports read. Return it and the engine's Update. A limit of triangles may make the error larger.
+    Raises TerrainError.
 
     Args:
         fitted: move vertices off the surface to save triangles; each leaf is then one triangle. Otherwise the
@@ -106,10 +108,12 @@ def _with_attributes(surface: Surface, heights: HeightField, request: Request) -
 def _add_object(obj, mesh):
     """Return a copy of a terrain's object in the same collections that is an ordinary object with another mesh.
 
-    Modifiers, material slots, visibility to rays, parent and animation are the terrain's.
+    Modifiers, material slots, visibility to rays, parent and animation are the terrain's. Materials lose their haze.
     """
+    materials = [*obj.data.materials, *(slot.material for slot in obj.material_slots)]  # slots may have the object's
+    plain = {material: without_haze(material) for material in set(materials)}
     for material in obj.data.materials:
-        mesh.materials.append(material)
+        mesh.materials.append(plain[material])
     for name in ("active_color_index", "render_color_index"):  # counted anew: another mesh has other attributes
         shown = getattr(obj.data.color_attributes, name)
         if 0 <= shown < len(obj.data.color_attributes):
@@ -120,6 +124,9 @@ def _add_object(obj, mesh):
     baked.property_unset("adaptive_terrain")
     baked.name, baked.data = mesh.name, mesh
     baked.hide_viewport = baked.hide_render = False
+    for slot in baked.material_slots:
+        if slot.link == "OBJECT":
+            slot.material = plain[slot.material]
     for collection in obj.users_collection:
         collection.objects.link(baked)
     return baked

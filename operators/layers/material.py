@@ -120,11 +120,19 @@ def _find_group(obj) -> tuple[bpy.types.Material, bpy.types.Node] | None:
         node = marked_group_node(slot.material, MARK)
         if node is not None:
             if slot.material.library is not None or _is_used_by_others(slot.material, obj):
-                slot.material = slot.material.copy()
+                slot.material = copy_material(slot.material)
                 node = marked_group_node(slot.material, MARK)
-                node.node_tree = node.node_tree.copy()
             return slot.material, node
     return None
+
+
+def copy_material(material) -> bpy.types.Material:
+    """Return a copy of a material, with a copy of the node group if it has one: another terrain's layers change it."""
+    copied = material.copy()
+    node = marked_group_node(copied, MARK)
+    if node is not None:
+        node.node_tree = node.node_tree.copy()
+    return copied
 
 
 def _is_used_by_others(material, obj) -> bool:

@@ -11,7 +11,7 @@ import math
 import bpy
 
 from ..bridge.nodes import Nodes, marked_group_node
-from ..layers.material import shows_layers
+from ..layers.material import copy_material, shows_layers
 from ..terrain import sight
 
 GROUP = "Terrain Haze"
@@ -51,6 +51,19 @@ def join_haze(material) -> None:
             return
 
 
+def without_haze(material):
+    """Return a copy of a material without its haze; the material itself if it has none, and None for None.
+
+    Exporters take the haze for light of the surface. The haze also dilutes colors that are baked into an image.
+    """
+    if marked_group_node(material, MARK) is None:
+        return material
+    copied = copy_material(material)
+    copied.name = f"{material.name} without haze"
+    _remove(copied.node_tree, marked_group_node(copied, MARK))
+    return copied
+
+
 def _apply(material, values: dict) -> None:
     """Set the values of a material's haze; add it if it is missing. A DISTANCE of 0 removes it.
 
@@ -73,6 +86,11 @@ def _apply(material, values: dict) -> None:
         for name, value in values.items():
             node.inputs[name].default_value = value
         return
+    _remove(tree, node)
+
+
+def _remove(tree, node) -> None:
+    """Remove the haze's node from a material's tree; the surface before it takes its place."""
     for link in node.outputs[0].links if node.inputs[SHADER].is_linked else ():
         tree.links.new(node.inputs[SHADER].links[0].from_socket, link.to_socket)
     tree.nodes.remove(node)

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Baked meshes look like their terrain: attributes, modifiers, transforms, maps and shaped land."""
 
+import json
+import struct
 from unittest.mock import Mock
 
+import addon_utils
 import bpy
 import numpy as np
 import pytest
@@ -169,6 +172,47 @@ def test_slots_of_the_object_keep_their_materials(scene, add_same):
     terrain.material_slots[0].material = reading("Of the object", "slope")
     baked = bake(terrain)
     assert baked.active_material.name == "Of the object" and made(baked.data) == {"slope"}
+
+
+def groups_in(material) -> list[str]:
+    """Return the names of a material's node groups without numbers."""
+    trees = (node.node_tree for node in material.node_tree.nodes if node.type == "GROUP")
+    return sorted(tree.name.split(".")[0] for tree in trees)
+
+
+def test_the_land_of_a_scene_is_exported_without_glow(scene, add_same, tmp_path):
+    """The haze of the air is no light of the ground, for Blender's glTF exporter nor for an image that is baked."""
+    terrain = add_same()
+    assert bpy.ops.adaptive_terrain.set_up_scene() == {"FINISHED"}
+    baked, material = bake(terrain), terrain.active_material
+    assert groups_in(material) == ["Terrain Haze", "Terrain Layers"] and terrain.active_material == material
+    assert groups_in(baked.active_material) == ["Terrain Layers"] and len(baked.material_slots) == 1
+    for obj in scene.objects:
+        obj.select_set(obj == baked)
+    addon_utils.enable("io_scene_gltf2")
+    file = tmp_path / "baked.glb"
+    bpy.ops.export_scene.gltf(filepath=str(file), use_selection=True, export_current_frame=True)
+    data = file.read_bytes()
+    [exported] = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])["materials"]
+    assert "emissiveFactor" not in exported and exported.get("extensions", {}).keys() <= {"KHR_materials_specular"}
+    assert exported["pbrMetallicRoughness"] == {"metallicFactor": 0, "roughnessFactor": pytest.approx(0.9)}
+
+
+def test_a_baked_mesh_keeps_its_layers_when_the_land_changes(scene, add_same):
+    """Its material is a copy without haze, also in a slot of the object."""
+    terrain = add_same()
+    assert bpy.ops.adaptive_terrain.set_up_scene() == {"FINISHED"}
+    material = terrain.active_material
+    terrain.material_slots[0].link = "OBJECT"
+    terrain.material_slots[0].material = material
+    baked = bake(terrain)
+    assert groups_in(baked.active_material) == ["Terrain Layers"]
+    [node] = [node for node in baked.active_material.node_tree.nodes if node.type == "GROUP"]
+    names = node.inputs.keys()
+    bpy.context.view_layer.objects.active = terrain
+    terrain.adaptive_terrain.layers[0].name = "Moss"
+    assert bpy.ops.adaptive_terrain.terrain_material() == {"FINISHED"}
+    assert terrain.active_material == material and node.inputs.keys() == names and "Moss" not in names
 
 
 def test_baked_maps_show_on_the_baked_mesh(scene, add_same, tmp_path):

@@ -272,16 +272,22 @@ def run_on_thread(job: BackgroundJob, work: Callable[[], object]) -> Steps:
     return outcome.result()
 
 
-def run_in_child(job: BackgroundJob, child: ChildJob) -> Steps:
+def run_in_child(
+    job: BackgroundJob, child: ChildJob, on_preview: Callable[[dict], None] = lambda _preview: None
+) -> Steps:
     """Yield until a child process has ended, and show its progress; return its report.
 
-    Raises JobStopped if it was cancelled, and the child's TerrainError. If these steps are closed before, the child is
+    on_preview: is called once with a report that the child makes before its long work, if it makes one. Raises
+    JobStopped if it was cancelled, and the child's TerrainError. If these steps are closed before, the child is
     cancelled.
     """
-    job.child = child
+    job.child, previewed = child, False
     try:
         while not (progress := child.poll()).done:
             job.fraction, job.message = progress.fraction, progress.message
+            if progress.preview is not None and not previewed:
+                previewed = True
+                on_preview(progress.preview)
             yield
     finally:
         child.cancel()  # only if it still runs

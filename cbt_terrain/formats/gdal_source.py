@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Georeference, from_transform
-from ..rasters.band_notes import band_notes, content_hint, float_alpha
+from ..rasters.band_notes import band_notes, content_hint, float_alpha, is_picture
 from ..rasters.coded_heights import decode_if_coded
 from ..rasters.driver_gaps import band_facts
 from ..rasters.file_grid import FileGrid, grid_of, has_shear, unit_of
@@ -178,6 +178,7 @@ def raster_of(
         is_sized=is_sized,
         read_grid=grid if is_sized else None,
         has_unit=bool(facts.unit),
+        is_picture=is_picture(dataset, settings),
         projected_from=projected_from,
         scale=dataset.scales[band - 1] * in_metres,
         offset=dataset.offsets[band - 1] * in_metres,

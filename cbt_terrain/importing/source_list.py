@@ -125,7 +125,8 @@ def _files_of_one(source: str, step: float | None) -> list[Path]:
             raise TerrainError(
                 f"The folder {shown(source)} holds no height map with a position",
                 expected="files such as .tif, .hgt or .asc",
-                fix='name other files, or those of inner folders by a pattern ("DIR/**/*.tif")',
+                fix="choose other files; for those of inner folders type a pattern such as DIR/**/*.tif as the source, "
+                "in a command or in the tab of a terrain",
             )
         return files
     if _is_pattern(source):

@@ -14,22 +14,14 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import TerrainError, shown
 from ..field.georeference import Transform, without_rounded_skew
 from ..field.store_folder import named_folder
-from ..formats.archives import (
-    NO_HEIGHT_MAP,
-    UnpackedFiles,
-    archive_of,
-    files_of_tile,
-    height_maps,
-    is_archive,
-    is_inside,
-)
+from ..formats.archives import UnpackedFiles, archive_of, files_of_tile, is_inside
 from ..formats.gdal_files import ignore_neighbours
 from ..formats.sources import check_named, open_tile_source
 from ..importing.source_list import INDEX_SUFFIXES, absolute_source, file_stat, files_of
@@ -39,11 +31,12 @@ from ..rasters.rounding import SourceRounding
 from ..rasters.sidecars import sidecars
 from ..run.named_file import read_regular
 from ..run.owned_files import without_dots
-from .index_files import paths_in
 from .systems import names_of, period_of
+from .tile_paths import height_maps_of, named_files
 
 FILE_NAME = "catalogue.json"
 VERSION = 1
+UNPLACED_PICTURE = "mosaic.unplaced_picture"  # code of the error about a picture without a position
 MAX_BYTES = 1 << 30
 MAX_SIDE = 1 << 30  # samples
 _SYSTEM = re.compile(r"([A-Z]+:\w{1,16}|[A-Z_]+\[.*)?", re.DOTALL)
@@ -143,32 +136,58 @@ class SourceTile:
             )
 
 
+class Catalogue(NamedTuple):
+    """The tiles (headers) of a mosaic's files, in the order of the sources, and the pictures that are left out."""
+
+    tiles: list[SourceTile]
+    pictures: list[Path]
+
+
 def build_catalogue(
     settings: ImportSettings,
     store: Path | None,
     on_progress: Callable[[float], None] = lambda _fraction: None,
     unpacked: UnpackedFiles | None = None,
-) -> list[SourceTile]:
-    """Return the tiles (headers) of all files that the settings' sources name, in their order.
+) -> Catalogue:
+    """Return the tiles of all files that the settings' sources name.
+
+    Pictures that only a folder, a pattern, an index or an archive names are left out if another file has heights: they
+    are photos of the same ground. The catalogue of pictures alone has them as tiles.
 
     store: a store or a folder of arrays, whose catalogue is used where files have not changed; None for none.
     on_progress: gets the fraction of headers that are known. unpacked: height maps of archives. Raises TerrainError for
     a file that cannot be a part of a mosaic.
     """
     unpacked = unpacked or UnpackedFiles()
-    paths = _height_maps_of(settings)
+    paths, named = height_maps_of(settings), named_files(settings)
     stored = _stored_tiles(store, settings) if store is not None else {}
-    tiles = []
+    found: list[tuple[Path, SourceTile | None, bool]] = []  # path, tile, and whether it is a picture to be left out
+    unplaced: TerrainError | None = None
     for number, path in enumerate(paths):
-        tile = stored.get(str(path))
+        tile, is_picture = stored.get(str(path)), False
         now = tuple(_with_sidecars(path))
         # `files` begins with the tile and its sidecars. A new sidecar may change the header, too; further files are
-        # sources that a VRT names.
-        if tile is None or now != tile.files[: len(now)] or list(tile.files) != list(tile.files_now()):
-            tile = _read_tile(path, settings, unpacked)
-        tiles.append(tile)
+        # sources that a VRT names. Entries do not tell whether a tile of 8 bits is a picture.
+        if (
+            tile is None
+            or tile.stored == "uint8"
+            or now != tile.files[: len(now)]
+            or list(tile.files) != list(tile.files_now())
+        ):
+            try:
+                tile, is_picture = _read_tile(path, settings, unpacked)
+            except TerrainError as error:
+                if error.code != UNPLACED_PICTURE or str(path) in named:
+                    raise
+                tile, is_picture, unplaced = None, True, error
+        found.append((path, tile, is_picture and str(path) not in named))
         on_progress((number + 1) / len(paths))
-    return tiles
+    if all(is_left_out for *_, is_left_out in found):
+        if unplaced is not None:
+            raise unplaced
+        return Catalogue([tile for _, tile, _ in found if tile is not None], [])
+    tiles = [tile for _, tile, is_left_out in found if tile is not None and not is_left_out]
+    return Catalogue(tiles, [path for path, _, is_left_out in found if is_left_out])
 
 
 def open_tile(path: Path, settings: ImportSettings) -> Raster:
@@ -214,37 +233,6 @@ def earlier_paths(store: Path, settings: ImportSettings) -> dict[str, str]:
     return paths
 
 
-def _height_maps_of(settings: ImportSettings) -> list[Path]:
-    """Return the height maps that the sources name, also in tile indexes and archives, in order and once each.
-
-    An archive without a height map is left out if a folder or a pattern names it and others have one. Raises
-    TerrainError.
-    """
-    named = {*map(absolute_source, settings.sources)}
-    paths: dict[Path, None] = {}  # a file that is named twice has its last place
-    left_out: TerrainError | None = None
-    for path in files_of(settings):
-        try:
-            files = _tiles_in(path)
-        except TerrainError as error:
-            if error.code != NO_HEIGHT_MAP or str(path) in named:
-                raise
-            files, left_out = [], error
-        for file in files:
-            paths.pop(file, None)
-            paths[file] = None
-    if not paths and left_out is not None:
-        raise left_out
-    return list(paths)
-
-
-def _tiles_in(path: Path) -> list[Path]:
-    """Return the height maps that a tile index or an archive holds; any other file itself. Raises TerrainError."""
-    if path.suffix.lower() in INDEX_SUFFIXES:
-        return paths_in(path)
-    return height_maps(path) if is_archive(path) else [path]
-
-
 def _with_sidecars(path: Path) -> list[tuple[str, int, int] | None]:
     """Return path, size and modification time of a tile and of its sidecars; None for a file that cannot be read."""
     return [*files_of_tile(path)] if is_inside(path) else [*map(_stat, [path, *sidecars(path)])]
@@ -258,16 +246,19 @@ def _stat(path: str | Path) -> tuple[str, int, int] | None:
         return None
 
 
-def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> SourceTile:
-    """Read the header of one file. Raises TerrainError for a file that cannot be a part of a mosaic.
+def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) -> tuple[SourceTile, bool]:
+    """Read the header of one file; return it, and whether the file is a picture.
 
-    unpacked: height maps of archives.
+    unpacked: height maps of archives. Raises TerrainError for a file that cannot be a part of a mosaic, with the code
+    UNPLACED_PICTURE for a picture.
     """
     check_named(archive_of(path))
     files = filter(None, _with_sidecars(path))  # entries (path, size, modification time); None: it cannot be read
     raster = open_tile(unpacked.path_of(path), settings)
     try:
         grid = raster.grid
+        is_web_tile = tile_of(path) is not None  # it has its position by its name
+        is_picture = raster.is_picture and not is_web_tile
         if grid is None or raster.window is None or grid.transform is None:
             problem = "its rows and columns are not perpendicular" if raster.projected_from else "it has no position"
             problem = grid.problem if grid is not None and grid.problem else problem
@@ -275,11 +266,12 @@ def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) ->
                 f"{shown(path)} cannot be a part of a mosaic ({problem})",
                 expected="a coordinate system and the position of its samples",
                 fix="name the encoding of its colours (--encoding)"
-                if tile_of(path)  # a web map tile, which has its position by its name
+                if is_web_tile
                 else "place it first (gdal_translate -a_ullr, gdalwarp), or import it by itself",
+                code=UNPLACED_PICTURE if is_picture else "",
             )
         crs, datum = names_of(grid.crs) if grid.crs is not None else ("", "")
-        return SourceTile(
+        tile = SourceTile(
             path=str(path),
             files=(*files, *map(file_stat, raster.sources)),
             width=raster.width,
@@ -295,6 +287,7 @@ def _read_tile(path: Path, settings: ImportSettings, unpacked: UnpackedFiles) ->
             roundings=tuple(raster.roundings),
             warnings=tuple(map(unpacked.with_names, raster.warnings)),
         )
+        return tile, is_picture
     finally:
         raster.close()
 

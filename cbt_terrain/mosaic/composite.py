@@ -67,6 +67,7 @@ class Composite:
         levels: `step_levels`, or 0 for all tiles if the settings leave the blending out.
         finer: the plan and the composite of finer tiles, None for one step everywhere.
         finest: the plan of finer tiles that a composite with one step leaves out, None without one.
+        notes: sentences for the report.
         reads_overviews: whether overviews of files were read for a quick import.
     """
 
@@ -83,6 +84,7 @@ class Composite:
         self.grid, self._settings, self._unpacked = grid, settings, unpacked
         self.on_piece: Callable[[], None] = lambda: None
         self.reads_overviews = False
+        self.notes: list[str] = []
         self.finer: tuple[FinerPlan, Composite] | None = None
         self.finest: FinerPlan | None = None
         self.tiles = [tiles[n] for n in order]
@@ -100,14 +102,12 @@ class Composite:
         scales = {(tile.scale, tile.offset) for tile in self.tiles}
         kinds = {tile.stored for tile in self.tiles}
         on_grid = all(lattice.crs == grid.crs and is_congruent(lattice, grid) for lattice in self.lattices)
-        is_copied = on_grid and self.insets is None
-        self.resamples = not is_copied
+        self.resamples = not on_grid or self.insets is not None
         self.shifts = find_shifts(tiles)
         self._converts = len(scales) > 1 or self.shifts is not None
-        self.scale: float
-        self.offset: float
-        self.scale, self.offset = (1.0, 0.0) if self._converts else next(iter(scales))
-        self.stored = next(iter(kinds)) if len(kinds) == 1 and is_copied and not self._converts else "float64"
+        scale_offset: tuple[float, float] = (1.0, 0.0) if self._converts else next(iter(scales))
+        self.scale, self.offset = scale_offset
+        self.stored = next(iter(kinds)) if len(kinds) == 1 and not (self.resamples or self._converts) else "float64"
         self._open: OrderedDict[int, Raster] = OrderedDict()  # files by rank, those read last at the end
         self._nodes: OrderedDict[tuple, BlockNodes] = OrderedDict()  # by lattice, column and row of a block
 

@@ -28,6 +28,7 @@ from .hidden_files import hidden_warnings, thin_warnings
 from .nearest import nearest_samples
 from .systems import crs_of
 from .target_grid import TargetGrid, choose_grid, footprints
+from .tile_paths import picture_notes
 
 BLOCK_ROWS = 128  # read together; a quarter of most files' tiles, which GDAL's cache keeps meanwhile
 MAX_WARNINGS = 3  # of files
@@ -51,10 +52,11 @@ def open_composite(
     """
     check_settings(settings)
     unpacked = unpacked or UnpackedFiles()
-    tiles = build_catalogue(settings, store, on_progress, unpacked)
+    tiles, pictures = build_catalogue(settings, store, on_progress, unpacked)
     grid = choose_grid(tiles, settings)
     tile_footprints = footprints(tiles, grid.crs)
     whole = Composite(tiles, grid, tile_footprints, settings, unpacked)
+    whole.notes = picture_notes(pictures)
     # A step of the settings holds everywhere, so there are no finer tiles then.
     plan = None
     if settings.step is None:
@@ -66,7 +68,7 @@ def open_composite(
         whole.finest = plan
         return whole
     coarse = Composite(tiles, plan.grid, tile_footprints, settings, unpacked)
-    coarse.finer = plan, whole
+    coarse.finer, coarse.notes = (plan, whole), whole.notes
     return coarse
 
 
@@ -114,6 +116,7 @@ def mosaic_raster(composite: Composite, settings: ImportSettings) -> Raster:
         offset=composite.offset,
         roundings=composite.all_roundings(),
         warnings=[
+            *composite.notes,
             *hidden_warnings(composite),
             *(thin_warnings(composite) if settings.holes else []),
             *file_warnings(composite.tiles),

@@ -4,6 +4,7 @@
 from pathlib import Path
 
 from ..run.named_file import read_start
+from .raster import ImportSettings
 from .rasterio_types import DatasetReader
 
 # First bytes of files, and their kinds.
@@ -45,6 +46,15 @@ def band_notes(dataset: DatasetReader, band: int, driver: str) -> list[str]:
     if dataset.dtypes[band - 1] in ("uint8", "int8"):
         notes.append("The file has 8 bits a sample: heights in at most 256 steps.")
     return notes
+
+
+def is_picture(dataset: DatasetReader, settings: ImportSettings) -> bool:
+    """Return whether a file is a picture by its bands: 3 or 4 of 8 bits.
+
+    A band or an encoding in the settings says that it holds heights. dataset: of rasterio.
+    """
+    is_chosen = settings.band != 1 or bool(settings.encoding)
+    return not is_chosen and dataset.count in (3, 4) and all(kind == "uint8" for kind in dataset.dtypes)
 
 
 def float_alpha(dataset: DatasetReader, band: int) -> int:

@@ -217,6 +217,8 @@ class Raster:
         is_sized: whether the file defines its size.
         read_grid: grid of the samples as they are read, after reprojection; None unless the file defines its size.
         has_unit: whether the file defines the unit of its values.
+        is_picture: whether the samples are the first of 3 or 4 bands of 8 bits, and no setting names the band or an
+            encoding of heights.
         block_rows: number of rows that are best read together.
         scale: a height is value * scale + offset metres, before the scale and offset of the settings.
         offset: see scale.
@@ -257,6 +259,7 @@ class Raster:
     is_sized: bool = False
     read_grid: FileGrid | None = None
     has_unit: bool = False
+    is_picture: bool = False
     block_rows: int = 1
     scale: float = 1.0
     offset: float = 0.0

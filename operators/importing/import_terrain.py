@@ -4,6 +4,7 @@
 import dataclasses
 import math
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -30,6 +31,7 @@ from ..terrain.properties import built_in_land
 from ..text.gap_note import missing_text
 from ..text.numbers import SMALLEST, plain
 from . import imported, shared_origin, view_tiles
+from .expected_work import warn_of_work
 from .placement_notes import neighbour_notes, picture_note, scatter_note, unit_note
 from .store_location import location_warnings, store_folder, stored_path
 
@@ -227,7 +229,7 @@ class ImportOperator(JobOperator):
         from ...cbt_terrain.importing.import_process import ImportJob
 
         job.raise_if_stopped()
-        report = yield from jobs.run_in_child(job, ImportJob(settings, folder))
+        report = yield from jobs.run_in_child(job, ImportJob(settings, folder), partial(warn_of_work, self))
         yield from jobs.wait_with_result(job)  # until the kernels that refine the imported terrain are compiled
         return report, folder
 

@@ -148,7 +148,7 @@ def test_a_stop_with_a_reason_is_an_error():
 def test_a_child_that_ended_before_its_cancel_counts(published):
     report = {"filled": 0}
     child = SimpleNamespace(cancelled=False)
-    states = [SimpleNamespace(done=False, fraction=0.25, message="Reading")]
+    states = [SimpleNamespace(done=False, fraction=0.25, message="Reading", preview=None)]
     child.poll = lambda: states[-1]
 
     def cancel():

@@ -109,7 +109,7 @@ def test_paths_in_an_index_begin_at_its_folder(tmp_path):
     (tmp_path / "xml" / "index.gti").write_text(text)
     assert paths_in(tmp_path / "xml" / "index.gti") == files
     both = build_catalogue(settings_of(tmp_path / "tiles", tmp_path / "xml" / "index.gti"), None)
-    assert [tile.path for tile in both] == list(map(str, files)), "a file that is named in two ways counts once"
+    assert [tile.path for tile in both.tiles] == list(map(str, files)), "a file that is named in two ways counts once"
 
 
 def test_dots_after_a_link_lead_from_its_target(tmp_path):
@@ -186,7 +186,7 @@ def test_lengths_of_the_systems_of_tiles_are_not_measured(tmp_path, monkeypatch)
     files, measured = tiles(tmp_path, crs="EPSG:3857"), []
     degrees = length_scale._degrees
     monkeypatch.setattr(length_scale, "_degrees", lambda *given: measured.append(1) or degrees(*given))
-    assert len(build_catalogue(settings_of(tmp_path), None)) == 3 and not measured
+    assert len(build_catalogue(settings_of(tmp_path), None).tiles) == 3 and not measured
     raster = open_source(ImportSettings(str(files[0])))
     raster.close()
     assert measured and "Lengths in EPSG:3857 are not those" in raster.georeference.size_warnings[0]
@@ -287,7 +287,7 @@ def test_a_damaged_catalogue_is_built_again(tmp_path):
         text = json.dumps(entries)
         file.write_text(json.dumps({"sum": catalogue._sum(text), "content": text}))
         assert build_catalogue(settings, store) == wanted
-    keep_catalogue(wanted, settings, file.parent)
+    keep_catalogue(wanted.tiles, settings, file.parent)
     assert file.read_bytes() == content
 
 

@@ -17,6 +17,7 @@ import warp as wp
 
 from ...kernels import has_temporary_cache, use_temporary_cache
 from ..errors import TerrainError, shown
+from . import compile_note
 from .named_file import read_regular
 
 CPU_BLOCK = 1  # threads of a block on the CPU: part of a compiled module's name
@@ -94,6 +95,7 @@ def _load(name: str) -> None:
     if _is_whole(file):
         wp.load_module(name, device="cpu")
         return
+    compile_note.note()
     cache = wp.config.kernel_cache_dir
     with _build_folder() as build:
         wp.config.kernel_cache_dir = build

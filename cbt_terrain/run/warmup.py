@@ -25,7 +25,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING
 
 from ..errors import TerrainError
-from . import child, launch, locks, stopping
+from . import child, compile_note, launch, locks, stopping
 
 if TYPE_CHECKING:
     import warp as wp
@@ -213,6 +213,8 @@ def wait(overlay: bool = False) -> None:
             # The first group is that of a frame, the last one that of the overlay; `prepare_modules` has a single one.
             ready = preparation.ready[-1 if overlay else 0]
             while not ready.wait(POLL_SECONDS):
+                if preparation.fraction is not None:  # children compile them
+                    compile_note.note()
                 stopping.check()  # raises an exception if the user ends the program or cancels this work
             if preparation.stopping.is_set():
                 raise TerrainError(

@@ -2,9 +2,9 @@
 """Child processes that write a store or answer one request: their start, their supervision and their messages.
 
 The request is one line of JSON on the child's stdin. The child prints one JSON object a line: {"fraction", "message"},
-and at the end {"report"} or {"error": the fields of a TerrainError}. The end of stdin is the end of the parent. Any
-later line on stdin is a wish to finish early. The parent does not trust these messages, because a file from outside may
-have taken over the child.
+{"compiling"} before it compiles kernels, {"preview"} before long work, and at the end {"report"} or {"error": the
+fields of a TerrainError}. The end of stdin is the end of the parent. Any later line on stdin is a wish to finish early.
+The parent does not trust these messages, because a file from outside may have taken over the child.
 """
 
 import dataclasses
@@ -25,7 +25,7 @@ from typing import Any
 from ..errors import TerrainError, shown
 from ..field import store as stores
 from ..field import store_folder
-from ..run import child, stopping
+from ..run import child, compile_note, stopping
 from ..run.stall import Stall, stall_error
 from .guard import VARIABLES
 
@@ -156,6 +156,11 @@ class ChildJob:
             return None
         return self._messages.get("progress", (0.0, JobProgress.message))
 
+    @property
+    def is_compiling(self) -> bool:
+        """Return whether the child has begun to compile kernels."""
+        return "compiling" in self._messages
+
     def cancel(self) -> None:
         """Stop the job now, if it is not done."""
         if self.poll().done:
@@ -259,6 +264,8 @@ def _parse_line(line: bytes) -> dict:
             return {"progress": (fraction, shown(content["message"]))} if 0.0 <= fraction <= 1.0 else {}
         if "error" in content:
             return {"error": _parse_error(content["error"])}
+        if content.get("compiling") is True:
+            return {"compiling": True}
         if "preview" in content:
             return {"preview": content["preview"]} if isinstance(content["preview"], dict) else {}
         return {"report": content["report"]} if isinstance(content["report"], dict | list) else {}
@@ -293,6 +300,8 @@ def wait_for(
         try:
             while not (progress := job.poll()).done:
                 stopping.check()
+                if job.is_compiling:
+                    compile_note.note()
                 if progress.preview is not None and not previewed:
                     previewed = True
                     on_preview(progress.preview)
@@ -340,6 +349,8 @@ def serve(work: ChildWork, what: Callable[[dict], str], heard: Callable[[], None
         """Write a message to the parent, as one line of JSON."""
         channel.write(json.dumps(content) + "\n")
         channel.flush()
+
+    compile_note.replace(lambda: send({"compiling": True}))
 
     def on_progress(fraction: float, message: str, preview: dict | None = None) -> None:
         """Send a preview, if there is one, and the progress, at most once in PROGRESS_SECONDS.

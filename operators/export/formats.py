@@ -63,6 +63,22 @@ def parse_frames(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(frame for part in parts for frame in part))
 
 
+def range_text(frames: Sequence[int]) -> str:
+    """Return frames, in any order, as a range of Open Job Description, sorted and each once: `1-24,30-60:2`."""
+    numbers, parts, start = sorted(set(frames)), [], 0
+    while start < len(numbers):  # from `start` on, take as many frames as have the same step
+        step = numbers[start + 1] - numbers[start] if start + 1 < len(numbers) else 1
+        count = 1
+        while start + count < len(numbers) and numbers[start + count] - numbers[start + count - 1] == step:
+            count += 1
+        if count == 2 and step > 1:  # two frames are shorter without a step
+            count = 1
+        first, last = numbers[start], numbers[start + count - 1]
+        parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
+        start += count
+    return ",".join(parts)
+
+
 def _frame_range(part: str) -> range:
     """Parse one part of a list of frames: A, A-B or A-B:S, both ends included. Raises TerrainError."""
     match = re.fullmatch(r"(-?\d{1,9})(?:-(-?\d{1,9})(?::(\d{1,9}))?)?", part)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ...cbt_terrain.run import stopping
+from .formats import range_text
 from .summaries import content_digest, file_fault, file_named, read_summary, summary_name
 
 MAX_NAMED_FAULTS = 10
@@ -24,19 +25,22 @@ def verify_frames(out: Path, frames: Sequence[int]) -> tuple[list[dict], int]:
     Returns their summaries, and the number of inputs that are missing here and were not compared. Raises
     TerrainError that names the first bad frames and why.
     """
-    summaries, faults = [], []
+    summaries, faults, missing = [], [], []
     for frame in frames:
         stopping.check()
         try:
             summary = read_summary(out, frame)
         except FileNotFoundError:
-            faults.append(f"frame {frame} is missing")
+            missing.append(frame)
         except ValueError:
             faults.append(f"frame {frame}: {summary_name(frame)} is damaged")
         else:
             named = ((name, file_fault(summary, name, out)) for name in summary["files"])
             faults += [f"frame {frame}: {shown(name)} {fault}" for name, fault in named if fault]
             summaries.append(summary)
+    if missing:
+        frame_s, are = ("frame", "is") if len(missing) == 1 else ("frames", "are")
+        faults.insert(0, f"{frame_s} {shown(range_text(missing))} {are} missing")
     # Frames of other settings are named only if no file is missing or damaged.
     faults += _describe_stale_frames(summaries, out) + ([] if faults else _describe_odd_frames(summaries))
     if faults:

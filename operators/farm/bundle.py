@@ -14,6 +14,7 @@ from pathlib import Path
 
 from ...cbt_terrain.errors import TerrainError, shown
 from ..export.exporting import write_files
+from ..export.formats import range_text
 
 HERE = Path(__file__).parent
 TEMPLATE, VALUES, ASSETS = "template.yaml", "parameter_values.yaml", "asset_references.yaml"
@@ -162,22 +163,6 @@ def openjd_command(folder: Path) -> str:
     """Return the shell command that runs the whole job in `folder` on this machine."""
     values = shlex.quote(f"file://{folder / OPENJD_VALUES}")
     return f"openjd run {shlex.quote(str(folder / TEMPLATE))} --step Verify --run-dependencies --job-param {values}"
-
-
-def range_text(frames: Sequence[int]) -> str:
-    """Return frames, in any order, as a range of Open Job Description, sorted and each once: `1-24,30-60:2`."""
-    numbers, parts, start = sorted(set(frames)), [], 0
-    while start < len(numbers):  # from `start` on, take as many frames as have the same step
-        step = numbers[start + 1] - numbers[start] if start + 1 < len(numbers) else 1
-        count = 1
-        while start + count < len(numbers) and numbers[start + count] - numbers[start + count - 1] == step:
-            count += 1
-        if count == 2 and step > 1:  # two frames are shorter without a step
-            count = 1
-        first, last = numbers[start], numbers[start + count - 1]
-        parts.append(f"{first}" if count == 1 else f"{first}-{last}" + (f":{step}" if step > 1 else ""))
-        start += count
-    return ",".join(parts)
 
 
 def _parameter_values(job: FarmJob) -> dict[str, str]:

@@ -16,7 +16,8 @@ from ...cbt_terrain.importing.source_list import files_of
 from ...cbt_terrain.importing.tile_import import TILED_PARTS
 from ...cbt_terrain.rasters.raster import ImportSettings
 from ..export.exporting import make_folder, write_files
-from .bundle import OPENJD_VALUES, TEMPLATE, range_text, read_template, to_yaml_json
+from ..export.formats import range_text
+from .bundle import OPENJD_VALUES, TEMPLATE, read_template, to_yaml_json
 
 TIMEOUT_S = 86_400
 # Options of the verb `import` that are not spelled like their setting.

@@ -127,6 +127,14 @@ def test_each_fault_is_named_with_its_frame(frames, capsys, fault):
     assert fault in said.err and said.out.splitlines()[-1].startswith("openjd_fail: ") and fault in said.out
 
 
+def test_missing_frames_are_named_as_ranges(frames, capsys):
+    """With the syntax of --frames, to make them again."""
+    for frame in (4, 5):
+        (frames / f"frame_{frame:04}.json").unlink()
+    assert run("verify", frames, "--frames", "2-9,20,30-40:5") == 1
+    assert "is not complete: frames 2-5,7-9,20,30-40:5 are missing: make those" in capsys.readouterr().err
+
+
 def test_missing_inputs_are_counted_and_not_compared(frames, capsys):
     (frames.parent / "tex.png").unlink()
     assert run("verify", frames, "--frames", "4-6") == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A height map becomes a store, a camera becomes a mesh: `python examples/01_first_mesh.py [FOLDER]`."""
+"""A height map becomes a store, a camera becomes a mesh: `.venv/bin/python examples/01_first_mesh.py [FOLDER]`."""
 
 # Each line halves the requested error and gets about twice the triangles. No visible point of the height map is further
 # from the mesh than the printed bound. The last lines describe the mesh as numpy arrays.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A camera flies and the mesh follows: `python examples/02_flight.py [FOLDER]`."""
+"""A camera flies and the mesh follows: `.venv/bin/python examples/02_flight.py [FOLDER]`."""
 
 # A frame of a flight costs less than its first, because unchanged parts are reused. Every frame has the same bytes as
 # if it were made alone, and earlier frames stay valid. Threads may share a terrain. A lookup finds the triangle at a

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A static mesh within an error in metres: `python examples/03_bake_and_fit.py [FOLDER]`."""
+"""A static mesh within an error in metres: `.venv/bin/python examples/03_bake_and_fit.py [FOLDER]`."""
 
 # Both meshes have an error of at most 2 m of height. The vertices of the second may leave the surface within that
 # error, so it needs fewer triangles. Both are written as .npz files for numpy.

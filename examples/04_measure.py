@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bounds, checked by independent measurements: `python examples/04_measure.py [FOLDER]`."""
+"""Bounds, checked by independent measurements: `.venv/bin/python examples/04_measure.py [FOLDER]`."""
 
 # Measured errors never exceed the bound: in pixels for a camera, by a ray through every pixel, and in metres for a
 # baked mesh, over its whole surface. The last lines damage a mesh on purpose, and the measurement finds it.

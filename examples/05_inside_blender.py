@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A terrain in a scene: `python examples/05_inside_blender.py [FOLDER]`, with Blender's Python module (`bpy`)."""
+"""A terrain in a scene: `.venv/bin/python examples/05_inside_blender.py [FOLDER]`, which needs `bpy`."""
 
 # The script prints the triangles for the camera, of the frozen terrain after the camera moved away (the same), and of
 # the terrain set free again (fewer, since it is far). Any Blender with the extension can open the saved file. Inside

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A custom effect: `python examples/06_an_effect.py [FOLDER]`."""
+"""A custom effect: `.venv/bin/python examples/06_an_effect.py [FOLDER]`."""
 
 # A complete effect consists of a function over arrays, a declaration and an example that tests it. Its values become an
 # attribute of a mesh. The normals that it reads are computed for it; nothing else is computed.

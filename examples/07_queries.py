@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Queries of a height field without a mesh: `python examples/07_queries.py [FOLDER]`."""
+"""Queries of a height field without a mesh: `.venv/bin/python examples/07_queries.py [FOLDER]`."""
 
 # The script puts a tower on the ground, computes its viewshed and checks one visible sample by a ray. It prints the
 # climb of a path and the heights in a box. The vertices of a mesh confirm that queries refer to the surface itself.

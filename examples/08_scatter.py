@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A scatter of points that do not move: `python examples/08_scatter.py [FOLDER]`."""
+"""A scatter of points that do not move: `.venv/bin/python examples/08_scatter.py [FOLDER]`."""
 
 # The script prints the points of three frames of a flight, their motion (0 m) and the number of new points. It writes
 # positions, normals, sizes, ids, variants and rotations of the last frame to points.npz.

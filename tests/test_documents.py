@@ -4,6 +4,8 @@
 import argparse
 import ast
 import importlib.util
+import inspect
+import operator
 import re
 from pathlib import Path
 
@@ -104,6 +106,32 @@ def test_the_api_page_has_every_public_name():
     for module, name in named:
         assert hasattr(importlib.import_module(f"adaptive_terrain.cbt_terrain.{module}"), name)
     assert {name for _, name in named} >= set(adaptive_terrain.__all__)
+
+
+def test_the_api_page_has_the_signatures():
+    """Each line is a call with all parameters in their order; `...` stands for defaults that are no plain values."""
+    import adaptive_terrain
+
+    page = (ROOT / "docs" / "reference" / "python-api.md").read_text(encoding="utf-8")
+    calls = [node.value for node in ast.parse(page.split("```python\n")[1].split("```")[0]).body]
+    for call in calls:
+        name = ast.unparse(call.func)
+        parameters = inspect.signature(operator.attrgetter(name)(adaptive_terrain)).parameters.values()
+        listed = [ast.unparse(argument) for argument in call.args]
+        for word in call.keywords:
+            listed.append(
+                f"**{ast.unparse(word.value)}" if word.arg is None else f"{word.arg}={ast.unparse(word.value)}"
+            )
+        expected = [text for text in map(str, map(without_annotation, parameters)) if text != "self"]
+        assert len(listed) == len(expected), name
+        for shown, real in zip(listed, expected, strict=True):
+            assert shown == real or shown == real.partition("=")[0] + "=...", (name, real)
+    functions = {name for name in adaptive_terrain.__all__ if inspect.isfunction(getattr(adaptive_terrain, name))}
+    assert functions <= {ast.unparse(call.func) for call in calls}
+
+
+def without_annotation(parameter: inspect.Parameter) -> inspect.Parameter:
+    return parameter.replace(annotation=inspect.Parameter.empty)
 
 
 def test_no_page_of_the_method_is_out_of_reach():

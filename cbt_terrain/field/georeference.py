@@ -264,7 +264,7 @@ def _border_warnings(latitude: float, borders: list[float], ellipsoid: tuple[flo
     off = f"by up to {100.0 * error:.2g} %" if error < 10.0 else "many times over, since a pole is near"
     return [
         f"The raster is in degrees, and their length at its middle latitude is used everywhere: at its border, "
-        f"lengths are off {off}. To have them right, import it with --project utm or EPSG:n (in Blender: Reproject)."
+        f"lengths are off {off}. To have them right, import it with utm or EPSG:n as Reproject (--project)."
     ]
 
 

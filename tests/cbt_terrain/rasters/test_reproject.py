@@ -208,7 +208,7 @@ def test_the_error_at_the_rim_of_degrees_is_said(tmp_path):
     source = write_raster(tmp_path / "a.tif", hills(50, 50), **wide)
     [warning] = imported(tmp_path, source)[1]["warnings"]
     assert "off by up to 8.3 %" in warning
-    assert warning.endswith("import it with --project utm or EPSG:n (in Blender: Reproject).")
+    assert warning.endswith("import it with utm or EPSG:n as Reproject (--project).")
     sphere = math.cos(math.radians(60.0)) / math.cos(math.radians(62.5)) - 1.0
     assert border_error(60.0, [57.5, 62.5]) == pytest.approx(sphere, rel=0.01) and sphere == pytest.approx(
         0.083, abs=5e-4

@@ -18,6 +18,7 @@ from ..mesh.attributes import FACE, LEVEL, NORMALS, POINT, UV, Attribute
 from ..mesh.cut import Side, cut
 from ..mesh.surface import Surface
 from ..view.linear import add_up
+from .flat_floor import assumed_depth, level_floor, merge_cells
 from .height_operator import OperatorGround
 from .water import DEPTH, DISCHARGE, SPEED, STREAM, WATER
 
@@ -103,16 +104,23 @@ def water_surface(
 ) -> Surface:
     """Return the surface of water, with its depth and speed as attributes.
 
-    Water is shown if it is `min_depth` deep or deeper and stands, or flows with STREAM or more, in connected pieces of
-    MIN_SAMPLES or more. Each cell with water at a corner gives two triangles, which are cut at the shore and face up.
-    Without water the surface is empty. heights: of the ground; depth: of the water on it; both float32 [rows, columns],
-    metres. speed, discharge: float32 of the same shape, m/s and m^3/s; without a discharge all water stands. missing:
-    bool of that shape, holes that no triangle touches, or None. min_depth: metres.
+    Over level ground, which is the surface of a sea or lake and not its floor, the attribute has an assumed depth, and
+    cells are merged to few triangles (flat_floor.py). Water is shown if it is `min_depth` deep or deeper and stands, or
+    flows with STREAM or more, in connected pieces of MIN_SAMPLES or more. Each other cell with water at a corner gives
+    two triangles, which are cut at the shore and face up. Without water the surface is empty. heights: of the ground;
+    depth: of the water on it; both float32 [rows, columns], metres. speed, discharge: float32 of the same shape, m/s
+    and m^3/s; without a discharge all water stands. missing: bool of that shape, holes that no triangle touches, or
+    None. min_depth: metres.
     """
     wet = _shown(heights.astype(np.float64) + depth, depth, discharge, missing, min_depth)
     # signed_depth: negative at dry samples, where the water level is below the ground, so that the shore is at 0.
     signed_depth, water_height, wet = _extend_to_shore(heights, depth, wet, min_depth)
-    corners, sides = _triangles(signed_depth, wet, missing)
+    floor, material_depth = level_floor(heights, signed_depth, wet), signed_depth
+    if floor.any():
+        material_depth = signed_depth + assumed_depth(floor, missing, lattice.step_x, lattice.step_y)
+        corners, sides = _merged_triangles(floor, signed_depth, material_depth, wet, missing)
+    else:
+        corners, sides = _triangles(signed_depth, _cells_with_water(wet, missing))
     # Vertices are the samples at corners of triangles, numbered in the order of samples.
     used, vertex_numbers = _number_items(corners, heights.size)
     row, column = np.divmod(used, heights.shape[1])
@@ -124,15 +132,13 @@ def water_surface(
     attributes = {
         NORMALS: Attribute(np.tile(np.array([0.0, 0.0, 1.0], np.float32), (len(used), 1)), POINT),
         UV: Attribute(uv, POINT),
-        "water_depth": Attribute(signed_depth.ravel()[used].astype(np.float32), POINT, "m"),
+        "water_depth": Attribute(material_depth.ravel()[used].astype(np.float32), POINT, "m"),
         "water_speed": Attribute(speeds.astype(np.float32), POINT, "m/s"),
         LEVEL: Attribute(np.zeros(len(corners) // 3, np.int32), FACE),  # each surface has it; refinement, here 0
     }
-    lines, line_numbers = _number_items(sides, 4 * heights.size)  # `_triangles` numbers sides in four directions
-    start, towards = np.divmod(lines, 4)
-    width = heights.shape[1]
-    strides = np.array([1, width, width + 1, width - 1])  # from a sample to the next, EAST to NORTH_WEST
-    ends = np.stack([start, start + strides[towards]], axis=-1)
+    lines, line_numbers = _number_items(sides, 8 * heights.size)  # see `_triangles` and `_merged_triangles`
+    ends = np.empty((len(lines), 2), np.int64)
+    ends[line_numbers[sides]] = np.sort(_sides_of(corners), axis=1)
     surface = Surface(positions, vertex_numbers[corners], line_numbers[sides], vertex_numbers[ends], attributes)
     depths = signed_depth.ravel()[used]
     surface, _ = cut(surface, [Side(lambda _positions: depths)], threads=threads)  # keeps the side of positive depths
@@ -244,17 +250,55 @@ SIDES_NORTH_EAST = ((0, EAST), (1, NORTH), (0, NORTH_EAST), (0, NORTH_EAST), (3,
 SIDES_NORTH_WEST = ((0, EAST), (1, NORTH_WEST), (0, NORTH), (1, NORTH), (3, EAST), (1, NORTH_WEST))
 
 
-def _triangles(deep: np.ndarray, wet: np.ndarray, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the samples at the corners of two triangles for each cell with water, int64 [3 n], and their sides.
+def _cells_with_water(wet: np.ndarray, missing: np.ndarray | None) -> np.ndarray:
+    """Return the cells with water at a corner and no hole, bool [rows - 1, columns - 1].
 
-    deep: depth, metres, negative on dry samples; wet: samples with water; missing: holes or None; all [rows, columns].
-    A side's number is 4 * its first sample + direction (EAST to NORTH_WEST), the same for both triangles that share it.
-    Of both diagonals the one is taken whose shallower end is deeper, so that a river across cells is not cut in two.
+    wet: samples with water; missing: holes or None; both bool [rows, columns].
     """
-    columns = deep.shape[1]
     cells = wet[:-1, :-1] | wet[:-1, 1:] | wet[1:, :-1] | wet[1:, 1:]
     if missing is not None:
         cells &= ~(missing[:-1, :-1] | missing[:-1, 1:] | missing[1:, :-1] | missing[1:, 1:])
+    return cells
+
+
+def _merged_triangles(
+    floor: np.ndarray, deep: np.ndarray, material_depth: np.ndarray, wet: np.ndarray, missing: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return corners and sides of triangles as `_triangles` does, where those over a level floor are merged.
+
+    A side that is longer than those of cells has the number 4 * samples + that of its middle on a lattice of half a
+    step. floor: samples of the floor, bool; material_depth: metres; the others as for `_triangles`.
+    """
+    rows, columns = floor.shape
+    merged, are_alone = merge_cells(floor, material_depth)
+    corners, sides = _triangles(deep, _cells_with_water(wet, missing) & are_alone)
+    start, end = np.sort(_sides_of(merged.ravel()), axis=1).T
+    (row, column), (end_row, end_column) = np.divmod(start, columns), np.divmod(end, columns)
+    up, along = end_row - row, end_column - column
+    # By (rows up, columns along + 1): a side of a cell has a direction.
+    direction = np.array([[-1, -1, EAST], [NORTH_WEST, NORTH, NORTH_EAST]])[
+        np.minimum(up, 1), np.clip(along, -1, 1) + 1
+    ]
+    middle = (row + end_row) * (2 * columns - 1) + column + end_column
+    is_long = np.maximum(up, abs(along)) > 1
+    merged_sides = np.where(is_long, 4 * rows * columns + middle, 4 * start + direction)
+    return np.concatenate([corners, merged.ravel()]), np.concatenate([sides, merged_sides])
+
+
+def _sides_of(corners: np.ndarray) -> np.ndarray:
+    """Return the two ends of each triangle's three sides, int64 [3 n, 2]; corners: int64 [3 n]."""
+    triangles = corners.reshape(-1, 3)
+    return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+
+
+def _triangles(deep: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the samples at the corners of two triangles for each of some cells, int64 [3 n], and their sides.
+
+    deep: depth, metres, negative on dry samples, [rows, columns]; cells: bool [rows - 1, columns - 1]. A side's number
+    is 4 * its first sample + direction (EAST to NORTH_WEST), the same for both triangles that share it. Of both
+    diagonals the one is taken whose shallower end is deeper, so that a river across cells is not cut in two.
+    """
+    columns = deep.shape[1]
     row, column = np.nonzero(cells)
     # Corners are counted counter-clockwise from the south-west, as in SIDES_NORTH_EAST.
     cell_corners = (row * columns + column)[:, None] + np.array([0, 1, columns + 1, columns])

@@ -30,7 +30,7 @@ from .shape_land import ShapedLandJob
 from .water_object import LEVEL, MARK, SEA, existing_water, shown_sea
 
 MATERIAL = "Terrain Water"
-SHALLOW, DEEP = (0.10, 0.22, 0.22, 1.0), (0.004, 0.025, 0.05, 1.0)
+SHALLOW, DEEP = (0.05, 0.135, 0.12, 1.0), (0.004, 0.025, 0.05, 1.0)
 CLEAR, OPAQUE = 0.25, 0.96  # alpha at the shore, and of deep water
 DEEP_METRES = 4.0
 

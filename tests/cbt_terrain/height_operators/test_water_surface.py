@@ -170,7 +170,7 @@ def test_shallow_water_that_is_no_stream_shows_where_it_stands():
 
 def test_a_canal_of_one_sample_shows_the_water_of_the_sea():
     heights = np.full((30, 40), np.float32(3.0))
-    heights[:, :8] = heights[15, 8:30] = -2.0
+    heights[:, :8] = heights[15, 8:30] = -4.0
     heights[15, 30:33], heights[12:15, 32] = -1.0, -1.0
     depth, no_stream = sea_depth(heights, 0.0), np.full(heights.shape, np.float32(1e-4))
     assert np.array_equal(wet_samples(surface_on(heights, depth, discharge=no_stream), heights), heights < 0.0)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..view.linear import lengths
 from .cut import Side
+from .plan_triangles import PlanTriangles
 from .surface import Surface
 
 # A convex outline with at most this number of lines is cut line by line.
@@ -96,7 +97,7 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
     1.
     """
     points = surface.positions[:, :2].astype(np.float64)
-    is_inside = covered(triangles, points)
+    is_inside = PlanTriangles(triangles).cover(points)
     values = np.where(is_inside, 1.0, -1.0)
     corners = is_inside[surface.triangles]
     beside_border = np.unique(surface.triangles[corners.any(axis=1) & ~corners.all(axis=1)])
@@ -108,23 +109,3 @@ def _distances(triangles: np.ndarray, border: np.ndarray, surface: Surface) -> n
         from_start -= t[:, :, None] * along
         values[block] *= np.sqrt(np.sum(from_start * from_start, axis=2).min(axis=1))
     return values
-
-
-def covered(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return whether points, float64 [n, 2], are inside or on the border of any of the triangles, bool [n].
-
-    triangles: float64 [m, 3, 2], counter-clockwise.
-    """
-    # each triangle is tested against the points between its lowest and its highest x only
-    order = np.argsort(points[:, 0], kind="stable")
-    x, y = points[order].T
-    is_covered = np.zeros(len(points), bool)
-    low = np.searchsorted(x, triangles[:, :, 0].min(axis=1))
-    high = np.searchsorted(x, triangles[:, :, 0].max(axis=1), side="right")
-    for (a, b, c), first, end in zip(triangles, low, high, strict=True):
-        u, v = x[first:end], y[first:end]
-        is_inside = np.ones(end - first, bool)  # on the left of all sides
-        for p, q in ((a, b), (b, c), (c, a)):
-            is_inside &= (q[0] - p[0]) * (v - p[1]) >= (q[1] - p[1]) * (u - p[0])
-        is_covered[order[first:end][is_inside]] = True
-    return is_covered

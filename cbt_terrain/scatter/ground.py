@@ -28,7 +28,8 @@ from ..field.domain import box_of, make_domain
 from ..field.georeference import from_crs
 from ..field.heightfield import HeightField
 from ..field.known_ground import KnownTiles, known_samples, known_tiles_of
-from ..mesh.outline import counter_clockwise, covered
+from ..mesh.outline import counter_clockwise
+from ..mesh.plan_triangles import PlanTriangles
 from ..plain_numbers import vertical
 from ..run import launch
 from ..run.buffers import flat, shared
@@ -48,9 +49,10 @@ class ScatterRequest:
     """A request for the points that views see, or without views for all points at full density.
 
     `placement`: 4 x 4 matrix to the world. `boundary`: triangles that points are above or below, float64 [n, 3, 2], x
-    and y in the terrain's space. `horizon`: Terrain.horizon for the same views; squares of the plan that are hidden
-    from all of them, including everything within `margin_m`, have no points then. The other points do not change.
-    `max_points`: the maximum number of points and the name of the limit for the message.
+    and y in the terrain's space. `water`: triangles there that no point is above or below. `horizon`: Terrain.horizon
+    for the same views; squares of the plan that are hidden from all of them, including everything within `margin_m`,
+    have no points then. The other points do not change. `max_points`: the maximum number of points and the name of the
+    limit for the message.
     """
 
     scatter: Scatter
@@ -59,6 +61,7 @@ class ScatterRequest:
     vertical_scale: float = 1.0
     vertical_offset: float = 0.0
     boundary: np.ndarray | None = None
+    water: PlanTriangles | None = None
     horizon: "CriterionArrays | None" = None
     max_points: tuple[int, str] | None = None
 
@@ -67,15 +70,16 @@ class ScatterRequest:
 class ScatterGround:
     """A scatter on a placed field, independent of views. A frame history owns it.
 
-    `scale`: vertical scale and offset. `boundary`: see ScatterRequest. `box`: of the terrain, float64 [2, 3] metres.
-    `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row of the raster.
-    `with_ground`: tiles of a mosaic with wide gaps that hold all its ground; None for other fields.
+    `scale`: vertical scale and offset. `boundary`, `water`: see ScatterRequest. `box`: of the terrain, float64 [2, 3]
+    metres. `domain`, `detail`, `valid`, `pattern`, `style`: what kernels read. `tiles`: number of tiles in a row of the
+    raster. `with_ground`: tiles of a mosaic with wide gaps that hold all its ground; None for other fields.
     """
 
     field: HeightField
     scatter: Scatter
     scale: tuple[float, float]
     boundary: np.ndarray | None
+    water: PlanTriangles | None
     box: np.ndarray
     domain: Domain
     detail: PackedLayers
@@ -97,12 +101,13 @@ class ScatterGround:
         pattern, tiles = _pattern(field, request.scatter)
         flags, style = flat(np.ascontiguousarray(valid), wp.uint8), _style(request.scatter, pattern, tiles)
         placed = box, domain, detail, flags, pattern, tiles, style, known_tiles_of(field)
-        return cls(field, request.scatter, scale, request.boundary, *placed)
+        return cls(field, request.scatter, scale, request.boundary, request.water, *placed)
 
     def is_of(self, field: HeightField, request: ScatterRequest) -> bool:
         """Return whether this ground fits a ScatterRequest on this field, so that its candidates can be reused."""
         scale, one, other = (request.vertical_scale, request.vertical_offset), self.boundary, request.boundary
         same = field is self.field and request.scatter == self.scatter and scale == self.scale
+        same &= request.water is self.water
         return same and (one is other or (one is not None and other is not None and np.array_equal(one, other)))
 
     def runs(self, squares: Squares, views: int, threads: int) -> np.ndarray:
@@ -134,9 +139,9 @@ class ScatterGround:
     def _place(self, runs: np.ndarray, added: slice, threads: int) -> None:
         """Compute positions, normals and densities of candidates.
 
-        The density is the product of the pattern's (below 1 at seams of tiles), the boundary's and that of attributes.
-        runs: a CandidateRun for each square. added: their slice of the candidates' arrays. Raises TerrainError for
-        heights that are not finite.
+        The density is the product of the pattern's (below 1 at seams of tiles), the boundary's, the water's and that of
+        attributes. runs: a CandidateRun for each square. added: their slice of the candidates' arrays. Raises
+        TerrainError for heights that are not finite.
         """
         inputs = [self.domain, self.detail, self.valid, self.pattern, pack_runs(runs), self.candidates.packed()]
         launch.slices(
@@ -146,7 +151,9 @@ class ScatterGround:
         if not np.isfinite(positions).all():
             raise self.field.raster.damage("it has heights that are not finite or too large for a mesh")
         if self.boundary is not None:
-            density *= covered(counter_clockwise(self.boundary), positions[:, :2].astype(np.float64))
+            density *= PlanTriangles(counter_clockwise(self.boundary)).cover(positions[:, :2].astype(np.float64))
+        if self.water is not None:
+            density *= ~self.water.cover(positions[:, :2].astype(np.float64))
         reads = self.scatter.reads()
         positive = np.flatnonzero(density) if reads else np.empty(0, np.int64)
         if len(positive):

@@ -1,17 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The object that shows the water of a terrain, and the level of its sea."""
+"""The object that shows the water of a terrain."""
 
 MARK = "adaptive_terrain_water"  # a property of the object, by which it is found again under any name
 LEVEL = "adaptive_terrain_sea_level"  # a property of the object: the level that the user has chosen, metres
-SEA = "adaptive_terrain_sea"  # a property of the object: the level of its sea in the height map, metres
 
 
 def existing_water(terrain):
     """Return the water object of a terrain, None without one."""
     return next((child for child in terrain.children if child.type == "MESH" and child.get(MARK)), None)
-
-
-def shown_sea(terrain) -> float | None:
-    """Return the level of the sea that a terrain's water object shows, in metres of the height map; None without it."""
-    water = existing_water(terrain)
-    return None if water is None else water.get(SEA)

@@ -20,14 +20,13 @@ from ..bridge.evaluated import anchor_of
 from ..bridge.nodes import Nodes, first_node
 from ..bridge.scene_paths import store_path
 from ..bridge.writer import new_child, write_mesh
-from ..scatter.dry_ground import follow_sea
 from ..scene.haze import join_haze
 from ..session import session
 from ..text.numbers import length_text
 from ..text.translations import phrase
 from .request import land_of
 from .shape_land import ShapedLandJob
-from .water_object import LEVEL, MARK, SEA, existing_water, shown_sea
+from .water_object import LEVEL, MARK, existing_water
 
 MATERIAL = "Terrain Water"
 SHALLOW, DEEP = (0.05, 0.135, 0.12, 1.0), (0.004, 0.025, 0.05, 1.0)
@@ -76,16 +75,10 @@ class AddWaterSurface(ShapedLandJob, bpy.types.Operator):
         level, surface, sea = result
         water = existing_water(terrain) or _add_water(terrain)
         write_mesh(water.data, _with_vertical_scale(surface, terrain.adaptive_terrain))
-        sea_before, is_new = shown_sea(terrain), SEA not in water
         if level is not None:
             water[LEVEL] = level
         elif sea is not None:
             self.level = sea  # the box at the lower left shows it
-        if sea is None:
-            water.pop(SEA, None)
-        else:
-            water[SEA] = sea
-            follow_sea(terrain, sea_before, is_new)  # keeps the terrain's scatters out of it
         sea_text = "" if sea is None else f", its sea at {length_text(sea)}"
         self.report({"INFO"}, f"{water.name} has {len(surface.triangles):,} triangles{sea_text}")
 

@@ -15,10 +15,12 @@ from ...cbt_terrain.field.heightfield import HeightField
 from ...cbt_terrain.run.memory import physical_memory
 from ...cbt_terrain.scatter.scatter import Scatter
 from ...cbt_terrain.view.view import View
+from .open_water import water_to_avoid
 from .properties import MESH, scatter_of
 
 if TYPE_CHECKING:
     from ...cbt_terrain.history.frame_history import FrameHistory
+    from ...cbt_terrain.mesh.plan_triangles import PlanTriangles
     from ...cbt_terrain.scatter.points import ScatterPoints
 
 # Custom property of a terrain: coordinates of the point from which its scatters count, see Scatter.corner.
@@ -35,6 +37,7 @@ class ScatterItem:
 
     `uid`, `name`: session_uid and name of its object. `on_mesh`: points are on the triangles, not on the height field.
     `culls`: points that hills hide are left out. `sea_level`: points are above it, metres in the terrain's space.
+    `water`: triangles in plan that no point is in.
     """
 
     uid: int
@@ -43,6 +46,7 @@ class ScatterItem:
     on_mesh: bool
     culls: bool
     sea_level: float = -math.inf
+    water: "PlanTriangles | None" = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +120,8 @@ def gather_scatters(terrain, depsgraph, render: bool, views: Callable[[], list[V
         except TerrainError as error:
             raise error.within(f"The scatter {obj.name!r} cannot be made") from None
         sea_level = properties.sea_level if properties.use_sea else -math.inf
-        items.append(ScatterItem(obj.session_uid, obj.name, scatter, on_mesh, culls, sea_level))
+        water = water_to_avoid(terrain, properties.where)
+        items.append(ScatterItem(obj.session_uid, obj.name, scatter, on_mesh, culls, sea_level, water))
     return Scatters(tuple(items), tuple(views()), max_points(render)) if items else Scatters()
 
 
@@ -165,6 +170,7 @@ def make_points(
             below,
             item.on_mesh and serial,  # False: other points do not depend on the mesh
             item.sea_level,
+            item.water,
         )
         culls = item.culls and is_uncut
         key += (culls and (request.criterion, request.frozen),)  # the mesh that hides them depends on these
@@ -178,6 +184,7 @@ def make_points(
                 request.placement,
                 *scale,
                 boundary=request.cleanup.boundary,
+                water=item.water,
                 horizon=horizon() if culls else None,
                 max_points=scatters.max_points,
             )

@@ -17,7 +17,7 @@ from rasters import store_heights
 def add_scatter(terrain):
     bpy.context.view_layer.objects.active = terrain
     assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
-    return terrain.children[-1]
+    return bpy.context.object
 
 
 def put_heights(terrain, folder, heights):
@@ -89,20 +89,79 @@ def test_no_point_is_in_a_lake_of_the_stack(terrain, tmp_path):
     assert nearest.max() < 0.2 and len(nearest) < (1 - lake / 2) * before and len(nearest) > 500
 
 
-def test_trees_stand_above_the_sea_of_add_water(terrain, tmp_path):
-    """The sea of land without a coast is that of its water, whichever of the two is added first."""
+def points_of(scatter):
+    """Return the points of a scatter as a set of rows of their bytes."""
+    return {row.tobytes() for row in positions(scatter)}
+
+
+def add_water(terrain, **options):
+    bpy.context.view_layer.objects.active = terrain
+    assert bpy.ops.adaptive_terrain.water_surface(**options) == {"FINISHED"}
+    session.update_object(terrain)
+    [water] = [child for child in terrain.children if child.name.endswith("Water")]
+    return water
+
+
+def test_no_point_is_in_a_lake_of_add_water(terrain, tmp_path):
+    """The lake may be made after the scatter or before; points elsewhere do not change."""
+    y, x = np.mgrid[0:129, 0:129]
+    away = np.hypot(x - 64, y - 64) / 64
+    put_heights(terrain, tmp_path / "basin", 140 - 60 * np.exp(-8 * away**2) - 30 * away)
+    first = add_scatter(terrain)
+    before = points_of(first)
+    water = add_water(terrain, level=-100.0)
+    level = np.median(positions(water)[:, 2])
+    radius = np.hypot(*positions(water)[:, :2].T).max()
+    assert level > 100.0 and 150.0 < radius < 500.0
+    dry = points_of(first)
+    lost = np.array([np.frombuffer(row, np.float32) for row in before - dry])
+    assert dry < before and len(lost) > 50 and np.hypot(*lost[:, :2].T).max() < radius
+    assert np.hypot(*positions(first)[:, :2].T).min() > 0.9 * radius
+    bpy.context.view_layer.objects.active = terrain
+    second = add_scatter(terrain)
+    assert np.hypot(*positions(second)[:, :2].T).min() > 0.9 * radius
+    first.adaptive_scatter.where.water_depth.use = False
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert before <= points_of(first) and np.hypot(*positions(second)[:, :2].T).min() > 0.9 * radius
+    bpy.data.objects.remove(water)
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert np.hypot(*positions(second)[:, :2].T).min() < 0.3 * radius, "without water they stand there again"
+
+
+def test_points_follow_the_level_of_add_water(terrain, tmp_path, capfd):
     y, x = np.mgrid[0:65, 0:65]
     put_heights(terrain, tmp_path / "land", 10.0 + x + 0.0 * y)
     first = add_scatter(terrain)
-    assert not first.adaptive_scatter.use_sea
-    bpy.context.view_layer.objects.active = terrain
-    assert bpy.ops.adaptive_terrain.water_surface(level=30.0) == {"FINISHED"}
-    assert bpy.ops.adaptive_terrain.scatter_add() == {"FINISHED"}
-    second = bpy.context.object
+    for level in (30.0, 25.0):
+        add_water(terrain, level=level)
+        assert level - 1e-3 < positions(first)[:, 2].min() < level + 2.0
+    capfd.readouterr()
+    second = add_scatter(terrain)
+    assert "points; none in the water\n" in capfd.readouterr().out
+    assert not second.adaptive_scatter.use_sea and positions(second)[:, 2].min() > 25.0 - 1e-3
+
+
+def test_reeds_may_stand_in_shallow_water(terrain, tmp_path):
+    """The rule Water Depth counts for the water of Add Water: up to its To, and not at all if it begins above 0."""
+    y, x = np.mgrid[0:65, 0:65]
+    put_heights(terrain, tmp_path / "land", 10.0 + x + 0.0 * y)
+    scatter = add_scatter(terrain)
+    add_water(terrain, level=40.0)
+    scatter.adaptive_scatter.where.water_depth.high = 15.0
+    bpy.context.view_layer.update()
     session.update_object(terrain)
-    for scatter in (first, second):
-        assert scatter.adaptive_scatter.use_sea and positions(scatter)[:, 2].min() > 30.0 - 1e-3
-    second.adaptive_scatter.sea_level = 40.0
-    bpy.context.view_layer.objects.active = terrain
-    bpy.ops.adaptive_terrain.water_surface(level=25.0)
-    assert [child.adaptive_scatter.sea_level for child in (first, second)] == pytest.approx([25.0, 40.0])
+    assert 24.0 < positions(scatter)[:, 2].min() < 26.0
+
+
+def test_a_face_that_is_deleted_from_the_water_is_dry(terrain, tmp_path):
+    y, x = np.mgrid[0:65, 0:65]
+    put_heights(terrain, tmp_path / "land", 10.0 + x + 0.0 * y)
+    scatter = add_scatter(terrain)
+    water = add_water(terrain, level=40.0)
+    water.hide_viewport = True
+    water.data.clear_geometry()
+    bpy.context.view_layer.update()
+    session.update_object(terrain)
+    assert positions(scatter)[:, 2].min() < 12.0

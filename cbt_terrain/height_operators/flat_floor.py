@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 # Depth of the assumed floor over the distance from the shore, and its largest depth in metres.
-SLOPE, MAX_ASSUMED = 1 / 20, 20.0
+SLOPE, MAX_ASSUMED = 1 / 10, 20.0
 # Largest depth in metres of water above its surface in the height map, as of a river that leaves a large lake.
 SHALLOW = 3.0
 # Smallest fraction of the water of one level that is above level ground: a file with a real floor has less, also where

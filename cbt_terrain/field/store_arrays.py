@@ -127,16 +127,13 @@ def all_finite(array: np.ndarray) -> bool:
 def map_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
     """Map an array copy-on-write: kernels use it like any other array, and nothing can change the file.
 
-    At most SAMPLED of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault.
-    Refinement reads single pages, so reading ahead is switched off: it would read ten times as much.
+    At most SAMPLED of its blocks are checked. Raises FileNotFoundError, and TerrainError for any other fault. The
+    system may read ahead: more bytes, but far fewer waits for the disk.
     """
     array, sums = _map_unchecked(file, shape, dtype)
     count = len(sums)
     sample = sorted({k * (count - 1) // (SAMPLED - 1) for k in range(SAMPLED)}) if count else []
     _check_blocks(file, array, sums, sample)
-    mapped = getattr(array.base, "_mmap", None)
-    if mapped is not None and hasattr(mmap, "MADV_RANDOM"):
-        mapped.madvise(mmap.MADV_RANDOM)
     return array
 
 

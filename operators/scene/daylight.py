@@ -18,6 +18,8 @@ from .built import remember_built
 
 SUN, SKY = "Terrain Sun", "Terrain Sky"
 SUN_STRENGTH, SUN_DISC_DEG = 6.0, 0.545  # W/m^2 at right angles, degrees
+# Of a new sun, radians: height above the horizon, and direction clockwise from that of the camera.
+ELEVATION, TURN = math.radians(24.0), math.radians(-78.0)
 WARM = (1.0, 0.78, 0.52)  # a sun at the horizon, relative to white
 WHITE_ELEVATION = math.radians(40.0)
 # Types of sky, the best first: since Blender 5.0, and before. Each with the strength that makes about 1 W/m^2 on level

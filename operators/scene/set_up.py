@@ -37,20 +37,20 @@ class SetUpScene(bpy.types.Operator):
     view: bpy.props.EnumProperty(
         name="Camera", description="Where the camera is put",
         items=[(CURRENT, "Current View", "Put the camera where the viewport looks from"),
-               (ACROSS, "Across the Terrain", "Put the camera where it sees most kinds of ground: water or the lowest "
-                "ground, gentle slopes and an uneven skyline, but little of the terrain's border")],
+               (ACROSS, "Across the Terrain", "Put the camera where the picture is varied near and far, a summit "
+                "stands in its upper third, and little of it is in shade or beyond the terrain's border")],
         options={"SKIP_SAVE"},
     )  # fmt: skip
     elevation: bpy.props.FloatProperty(
         name="Sun Elevation",
         description="Angle of the sun above the horizon: low gives long shadows",
-        default=math.radians(24.0), min=math.radians(1.0), max=math.radians(90.0), subtype="ANGLE",
+        default=daylight.ELEVATION, min=math.radians(1.0), max=math.radians(90.0), subtype="ANGLE",
     )  # fmt: skip
     turn: bpy.props.FloatProperty(
         name="Sun From",
         description="Direction of the sun, clockwise from the direction in which the camera looks: 90° is from the "
         "right, 180° from behind",
-        default=math.radians(-78.0), soft_min=-math.pi, soft_max=math.pi, subtype="ANGLE",
+        default=daylight.TURN, soft_min=-math.pi, soft_max=math.pi, subtype="ANGLE",
     )  # fmt: skip
 
     haze: bpy.props.FloatProperty(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The place of a camera: where a viewport looks from, or the view that shows most kinds of ground.
+"""The place of a camera: where a viewport looks from, or the view across a terrain with the best composition.
 
 A viewport that looks through the camera of Set Up Scene stays where it is if Undo takes that camera away.
 """
@@ -17,6 +17,7 @@ from ...cbt_terrain.importing.covered import covered_points
 from ..importing.imported import imported_of
 from ..land import shaped_land
 from ..terrain import frame_terrain, sight
+from . import daylight
 from .built import CAMERA, find_built
 
 if TYPE_CHECKING:
@@ -25,19 +26,24 @@ if TYPE_CHECKING:
 SAMPLES = 129  # a side, of the heights that decide the view across
 # Eyes that are compared for the view across: number a side, the fraction of the sides over which they are spread, and
 # the number of directions at each.
-EYES, SPREAD, VIEWS = 15, 0.84, 24
-# Rays of a view: their angles from its middle, and the distances of their samples as fractions of the shorter side.
-RAYS, DISTANCES = np.radians(np.linspace(-30.0, 30.0, 9)), np.geomspace(0.015, 1.0, 28)
+EYES, SPREAD, VIEWS = 15, 0.9, 24
+# Rays of a view: their angles from its middle, those in the middle half of the frame, and the distances of their
+# samples as fractions of the shorter side.
+RAYS, INNER, DISTANCES = np.radians(np.linspace(-30.0, 30.0, 13)), slice(3, 10), np.geomspace(0.015, 1.2, 40)
 NEAR = 0.03  # fraction of the shorter side: an eye is above the ground within this distance
-ABOVE_SIDE, ABOVE_RELIEF = 0.012, 0.08  # fractions of the shorter side and of the relief by which it is above
-PITCH = math.radians(-7.0)
+# Fractions of the shorter side and of the relief by which a low eye is above the ground, and the factor of a high eye.
+ABOVE_SIDE, ABOVE_RELIEF, HIGHER = 0.012, 0.08, 2.0
+PITCH = math.radians(-5.0)
 BOTTOM = math.tan(PITCH - math.radians(19.0))  # of the frame: rise over distance
-GENTLE = math.tan(math.radians(24.0))  # ground that is no scree
-# Height in the frame, as rise over distance, at which a view shows enough of: water or lowest ground, gentle ground in
-# the lower half of the relief, and variation of the skyline.
-ENOUGH_LOW, ENOUGH_GENTLE, ENOUGH_SKYLINE = 0.05, 0.2, 0.04
-SKYLINE, ENOUGH_OFF = 0.03, 0.1  # rise over distance of the best skyline, and the difference that costs one point
-EDGE = 2.5  # weight of the terrain's border where it stands before the sky
+# Kinds of ground: up to the water level; above this fraction of the relief; else gentle, or steep like scree.
+KINDS, HIGH, GENTLE = 4, 0.65, math.tan(math.radians(24.0))
+DEPTHS = 0.09, 0.35  # fractions of the shorter side: ends of foreground and middle ground
+# Rise over distance of the best summit, of the highest one with sky above it, and a step in the skyline between two
+# rays that is the terrain's corner rather than a slope.
+SUMMIT, HIGHEST, STEP = 0.12, 0.2, 0.1
+FOREGROUND = 0.45  # part of the ground in the frame from which on the foreground is too much
+# Points that faults of a view cost: for each unit of rise over distance, or for the whole ground in the frame.
+CUT, LEAN, BEYOND, STEEP, DARK, TOO_NEAR = 30.0, 5.0, 35.0, 30.0, 1.5, 4.0
 # As in Add Water: land is a coast if this fraction of it is at 0 m or lower; inland, this fraction counts as water.
 MIN_SEA, INLAND = 0.01, 0.05
 LENS_MM, SENSOR_MM = 28.0, 36.0
@@ -102,7 +108,7 @@ def on_undo_post(scene, _unused=None) -> None:
 
 
 def view_across(obj) -> tuple[Matrix, float]:
-    """Return the matrix to the world of a camera over a terrain in the view that shows most kinds of ground.
+    """Return the matrix to the world of a camera over a terrain in the view with the best composition.
 
     It is over the largest part of the ground, if holes or wide gaps divide it. Also return half the length of that
     part, metres in the world: the distance of the point about which a viewport turns. Raises TerrainError without a
@@ -143,54 +149,76 @@ def _ground_of(field: HeightField, covered: np.ndarray | None) -> tuple["PartSam
 
 
 def _best_view(part: "PartSamples", water_level: float) -> tuple[tuple, float]:
-    """Return the eye and the azimuth, clockwise from +Y in radians, of the view that shows most kinds of ground.
+    """Return the eye and the azimuth, clockwise from +Y in radians, of the view with the best composition.
 
     part: has the lowest height where there is no ground. water_level: height up to which ground counts as water. The
-    eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray], with fewer axes
-    after a mean. RAYS: angles from the azimuth; DISTANCES: of a ray's samples, in shorter sides of the terrain; BOTTOM:
-    rise over distance at the frame's lower edge. A score is the sum of the seen kinds, 1 each at most, less the faults
-    of the skyline and the border.
+    eyes are compared along one azimuth after the other; arrays are [eyes, rays, samples of a ray].
     """
     x, y, z, is_ground = part
     bottom, relief = float(z.min()), float(np.ptp(z)) or 1.0
     # The side of ground without gaps: a narrow valley across a large rectangle is seen from near.
     side = min(np.ptp(x), np.ptp(y)) * math.sqrt(is_ground.mean())
-    slope = np.hypot(*np.gradient(z, y, x))
-    is_gentle = (slope < GENTLE) & (z < bottom + relief / 2) & (z > water_level)
-    is_low = (z <= water_level) & is_ground
+    north, east = np.gradient(z, y, x)  # rise of the ground over distance
+    kinds = (z <= water_level) & is_ground, z > bottom + HIGH * relief, np.hypot(east, north) < GENTLE
+    kind = np.select(kinds, range(KINDS - 1), KINDS - 1)
 
     eye_x, eye_y = _eyes(part, NEAR * side)
     ground = np.max(_nine_around(part, z, eye_x, eye_y, NEAR * side), axis=0)
-    eye_z = ground + ABOVE_SIDE * side + ABOVE_RELIEF * relief
+    above = ABOVE_SIDE * side + ABOVE_RELIEF * relief
+    eye_x, eye_y = np.tile(eye_x, 2), np.tile(eye_y, 2)
+    eye_z = np.concatenate([ground + above, ground + HIGHER * above])
     best, found = -math.inf, None
     for azimuth in np.arange(VIEWS) * (math.tau / VIEWS):
-        # Samples along the rays of every eye, and which ones are seen: those that rise above all nearer samples.
-        angles = azimuth + RAYS
-        away = side * DISTANCES
+        angles, away = azimuth + RAYS, side * DISTANCES
         at_x = eye_x[:, None, None] + np.sin(angles)[:, None] * away
         at_y = eye_y[:, None, None] + np.cos(angles)[:, None] * away
         inside = (x[0] <= at_x) & (at_x <= x[-1]) & (y[0] <= at_y) & (at_y <= y[-1])
         row, column = _nearest(at_y, y), _nearest(at_x, x)
         inside = np.logical_and.accumulate(inside & is_ground[row, column], axis=-1)  # up to the first gap
         rise = np.where(inside, (z[row, column] - eye_z[:, None, None]) / away, -np.inf)
-        horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
-        shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
-        # Parts of the score: the height in the frame that each kind of ground fills, in the mean of the rays.
-        kinds = is_low[row, column], is_gentle[row, column]
-        low_seen, gentle_seen = ((shown * kind).sum(axis=-1).mean(axis=-1) for kind in kinds)
-        skyline = horizon[..., -1].std(axis=-1)  # an uneven skyline counts as a kind of ground
-        last = np.maximum(inside.sum(axis=-1) - 1, 0)[..., None]  # last sample of a ray on the terrain
-        # The border of the terrain is seen where a ray's last sample is below the eye and not hidden.
-        edge = np.take_along_axis(rise, last, axis=-1)[..., 0]
-        is_edge_seen = (edge < 0.0) & (np.take_along_axis(shown, last, axis=-1)[..., 0] > 0.0)
-        cut_off = (is_edge_seen * (1.0 - DISTANCES[last[..., 0]])).mean(axis=-1)  # worse the nearer the border is
-        off = abs(horizon[..., -1].mean(axis=-1) - SKYLINE) / ENOUGH_OFF  # a skyline too high or low in the frame
-        score = np.minimum(low_seen / ENOUGH_LOW, 1.0) + np.minimum(gentle_seen / ENOUGH_GENTLE, 1.0)
-        score = score + np.minimum(skyline / ENOUGH_SKYLINE, 1.0) - off - EDGE * cut_off
+        # Light of the sun of Set Up Scene on the ground, as a fraction of that on level ground.
+        sun = azimuth + daylight.TURN
+        light = 1.0 - (east * math.sin(sun) + north * math.cos(sun)) / math.tan(daylight.ELEVATION)
+        score = _score(rise, kind[row, column], np.clip(light, 0.0, 2.0)[row, column])
         if score.max() > best:
             best, number = float(score.max()), int(score.argmax())
             found = (float(eye_x[number]), float(eye_y[number]), float(eye_z[number])), float(azimuth)
     return found
+
+
+def _score(rise: np.ndarray, kind: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return the score of the view from each eye: its variety and contrast of light less its faults.
+
+    Variety is the entropy of the ground in the frame by kind and depth (foreground, middle ground, background): it is
+    large if many of these 12 parts are seen and none prevails.
+
+    Args:
+        rise: height above the eye over distance of the samples of each ray, float64 [eyes, rays, samples]. -inf behind
+            the terrain's border.
+        kind: of ground, int [eyes, rays, samples], 0 .. KINDS - 1.
+        light: on the ground, float64 [eyes, rays, samples], 1 on level ground.
+    """
+    horizon = np.maximum.accumulate(np.maximum(rise, BOTTOM), axis=-1)  # highest rise up to each sample
+    shown = np.diff(horizon, axis=-1, prepend=BOTTOM)  # height in the frame that each sample fills
+    frame = shown.sum(axis=(1, 2)).clip(1e-9)
+    depth = np.searchsorted(DEPTHS, DISTANCES)
+    view = np.arange(len(rise))[:, None, None]
+    bins = ((len(DEPTHS) + 1) * view + depth) * KINDS + kind
+    num_bins = len(rise) * (len(DEPTHS) + 1) * KINDS
+    parts = np.bincount(bins.ravel(), shown.ravel(), num_bins).reshape(len(rise), -1) / frame[:, None]
+    variety = -(parts * np.log(parts.clip(1e-9))).sum(axis=1)
+
+    skyline = horizon[..., -1]
+    summit = skyline[:, INNER].max(axis=1)
+    score = variety - ((summit - SUMMIT) / SUMMIT) ** 2  # the summit is in the upper third
+    score -= CUT * (skyline.max(axis=1) - np.minimum(summit, HIGHEST))  # nothing higher is at the frame's edges
+    score -= LEAN * abs(skyline @ RAYS) / (RAYS @ RAYS)  # it is not all on one side
+    score -= BEYOND * np.maximum(-skyline, 0.0).mean(axis=1)  # below the eye's level the terrain's border is seen
+    score -= STEEP * np.maximum(abs(np.diff(skyline, axis=1)).max(axis=1) - STEP, 0.0)  # its corner before the sky
+    score -= TOO_NEAR * np.maximum(parts[:, :KINDS].sum(axis=1) - FOREGROUND, 0.0)
+    score -= DARK * (shown * np.maximum(1.0 - light, 0.0)).sum(axis=(1, 2)) / frame
+    mean = (shown * light).sum(axis=(1, 2)) / frame
+    return score + np.sqrt((shown * (light - mean[:, None, None]) ** 2).sum(axis=(1, 2)) / frame)  # light shows forms
 
 
 def _eyes(part: "PartSamples", near: float) -> tuple[np.ndarray, np.ndarray]:

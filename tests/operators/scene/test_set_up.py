@@ -288,6 +288,25 @@ def test_the_view_across_shows_water_and_hides_the_border():
     assert moved == (east + 16384.0, north - 8192.0, height) and turned == azimuth
 
 
+@pytest.mark.parametrize(("middle", "height_m"), [((0.0, 0.0), 2500.0), ((6000.0, -5000.0), 1800.0)])
+def test_the_view_across_has_the_summit_well_inside(middle, height_m):
+    """A mountain stands on a plain: its summit is in the frame's middle half and upper part."""
+    x = np.linspace(-12_000.0, 12_000.0, 129)
+    east_m, north_m = np.meshgrid(x, x)
+    distance = np.hypot(east_m - middle[0], north_m - middle[1])
+    z = 300.0 + height_m * np.exp(-((distance / 3000.0) ** 2)) + 20.0 * np.sin(east_m / 700.0) * np.cos(north_m / 900.0)
+    (east, north, eye_m), azimuth = viewpoint._best_view(PartSamples(x, x, z, np.ones(z.shape, bool)), 290.0)
+    # The summit in the camera's axes: metres to the right, up and ahead; its place in a frame of 16 : 9 is -1 .. 1.
+    level = (middle[0] - east) * math.sin(azimuth) + (middle[1] - north) * math.cos(azimuth)
+    right = (middle[0] - east) * math.cos(azimuth) - (middle[1] - north) * math.sin(azimuth)
+    up, pitch = 300.0 + height_m - eye_m, viewpoint.PITCH
+    ahead = level * math.cos(pitch) + up * math.sin(pitch)
+    half = viewpoint.SENSOR_MM / 2 / viewpoint.LENS_MM  # tangent of half of the field of view
+    assert ahead > 0.0 and abs(right / ahead / half) < 0.5
+    assert 0.3 < (up * math.cos(pitch) - level * math.sin(pitch)) / ahead / (half * 9 / 16) < 0.95
+    assert level > 3000.0, "it stands before the mountain, not on it"
+
+
 @pytest.mark.parametrize("gap", ["island", "valley", "lake"])
 def test_the_view_across_stands_on_ground(factory, add_terrain, tmp_path, gap):
     """It does with a small island in a large hole, a narrow valley along a diagonal, and a large hole in the middle."""

@@ -15,7 +15,7 @@ ROOT = "Starter Collection"
 MARK = "adaptive_terrain_starter"  # a property of collections and materials, by which they are found under any name
 # Kind: name of its collection, name and form of its objects, and the size of each.
 KINDS = {
-    "CONIFERS": ("Conifers", "Conifer", starter_forms.conifer, (1.0, 0.85, 0.66)),
+    "CONIFERS": ("Conifers", "Conifer", starter_forms.conifer, (1.0, 0.76, 0.5)),
     "BROADLEAVES": ("Broadleaves", "Broadleaf", starter_forms.broadleaf, (1.0, 0.88, 0.72)),
     "BUSHES": ("Bushes", "Bush", starter_forms.bush, (1.0, 0.8, 0.6)),
     "GRASS": ("Grass", "Grass", starter_forms.grass, (1.0, 0.85, 0.7)),
@@ -31,12 +31,12 @@ KIND_ITEMS = [
 # Linear RGB inside and at the tips, and roughness.
 MATERIALS = {
     "Bark": ((0.03, 0.022, 0.016), (0.075, 0.055, 0.04), 0.9),
-    "Needles": ((0.01, 0.022, 0.009), (0.085, 0.13, 0.042), 0.75),
+    "Needles": ((0.016, 0.032, 0.013), (0.15, 0.205, 0.065), 0.75),
     "Leaves": ((0.012, 0.026, 0.006), (0.115, 0.17, 0.035), 0.7),
     "Grass": ((0.05, 0.075, 0.016), (0.26, 0.28, 0.09), 0.7),
     "Stone": ((0.05, 0.05, 0.048), (0.17, 0.172, 0.168), 0.9),
 }
-DIFFERENCE = 0.3  # between the colours of instances: the range of red, as a fraction of its mean
+DIFFERENCE = 0.6  # between the colours of instances: the range of red, as a fraction of its mean
 
 
 class AddStarterCollection(ObjectModeOperator, bpy.types.Operator):

@@ -288,23 +288,24 @@ def test_the_view_across_shows_water_and_hides_the_border():
     assert moved == (east + 16384.0, north - 8192.0, height) and turned == azimuth
 
 
-@pytest.mark.parametrize(("middle", "height_m"), [((0.0, 0.0), 2500.0), ((6000.0, -5000.0), 1800.0)])
-def test_the_view_across_has_the_summit_well_inside(middle, height_m):
-    """A mountain stands on a plain: its summit is in the frame's middle half and upper part."""
+def test_the_highest_of_a_range_is_well_inside_the_view():
+    """A range along one side of a plain rises in the frame's middle, and does not lean to a corner."""
     x = np.linspace(-12_000.0, 12_000.0, 129)
     east_m, north_m = np.meshgrid(x, x)
-    distance = np.hypot(east_m - middle[0], north_m - middle[1])
-    z = 300.0 + height_m * np.exp(-((distance / 3000.0) ** 2)) + 20.0 * np.sin(east_m / 700.0) * np.cos(north_m / 900.0)
-    (east, north, eye_m), azimuth = viewpoint._best_view(PartSamples(x, x, z, np.ones(z.shape, bool)), 290.0)
-    # The summit in the camera's axes: metres to the right, up and ahead; its place in a frame of 16 : 9 is -1 .. 1.
-    level = (middle[0] - east) * math.sin(azimuth) + (middle[1] - north) * math.cos(azimuth)
-    right = (middle[0] - east) * math.cos(azimuth) - (middle[1] - north) * math.sin(azimuth)
-    up, pitch = 300.0 + height_m - eye_m, viewpoint.PITCH
-    ahead = level * math.cos(pitch) + up * math.sin(pitch)
-    half = viewpoint.SENSOR_MM / 2 / viewpoint.LENS_MM  # tangent of half of the field of view
-    assert ahead > 0.0 and abs(right / ahead / half) < 0.5
-    assert 0.3 < (up * math.cos(pitch) - level * math.sin(pitch)) / ahead / (half * 9 / 16) < 0.95
-    assert level > 3000.0, "it stands before the mountain, not on it"
+    range_m = 1800.0 * np.exp(-(((east_m + 5000.0) / 3500.0) ** 2))
+    z = 400.0 - 0.02 * east_m + range_m * (0.75 + 0.25 * np.sin(north_m / 1300.0) * np.cos(east_m / 1700.0))
+    eye, azimuth = viewpoint._best_view(PartSamples(x, x, z, np.ones(z.shape, bool)), float(np.quantile(z, 0.05)))
+    degrees = np.arange(-32, 33)  # across the frame
+    skyline = []
+    for angle in azimuth + np.radians(degrees):
+        away = np.arange(300.0, 24_000.0, 100.0)
+        at = np.stack([eye[1] + math.cos(angle) * away, eye[0] + math.sin(angle) * away], axis=1)
+        away, at = away[(abs(at) <= 12_000.0).all(axis=1)], at[(abs(at) <= 12_000.0).all(axis=1)]
+        row, column = np.rint((at + 12_000.0) / 187.5).astype(int).T
+        skyline.append(((z[row, column] - eye[2]) / away).max())
+    top = math.tan(viewpoint.PITCH + math.atan(viewpoint.SENSOR_MM / 2 / viewpoint.LENS_MM * 9 / 16))
+    assert abs(degrees[np.argmax(skyline)]) <= 18 and 0.08 < max(skyline) < 0.9 * top
+    assert abs(skyline[0] - skyline[-1]) < 0.06 and min(skyline) > 0.0, "the border is hidden by the range"
 
 
 @pytest.mark.parametrize("gap", ["island", "valley", "lake"])

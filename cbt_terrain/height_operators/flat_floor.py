@@ -74,7 +74,7 @@ def merge_cells(floor: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.nd
     blocks[np.minimum(row // BLOCK, len(blocks) - 1), np.minimum(column // BLOCK, blocks.shape[1] - 1)] = True
     _require_ancestors(needed, padded_depth)
     leaves = _bisect(needed, np.argwhere(blocks)[:, ::-1] * BLOCK)
-    # Cells with two leaves of half a cell have triangles of their own, as have those of blocks without a level floor.
+    # Not merged: cells with two leaves of half a cell, and the cells of blocks without a level floor.
     is_half = np.ptp(leaves[:, :, 0], axis=1) + np.ptp(leaves[:, :, 1], axis=1) == 2
     is_half &= np.ptp(leaves, axis=1).max(axis=1) == 1
     cell_of_leaf = leaves.min(axis=1)

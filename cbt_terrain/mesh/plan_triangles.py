@@ -55,7 +55,7 @@ class PlanTriangles:
 
     @cached_property
     def _buckets(self) -> Buckets:
-        """Return buckets, about as many as there are triangles; fewer if long triangles would have too many entries."""
+        """Return about one bucket for each triangle; fewer if long triangles would have too many entries."""
         low, high = self.triangles.min(axis=1), self.triangles.max(axis=1)
         corner, extent = low.min(axis=0), high.max(axis=0) - low.min(axis=0)
         side = float(np.sqrt(extent[0] * extent[1] / len(low)))

@@ -16,7 +16,7 @@ FILM_M = 0.05  # depth of rain that runs off a slope: ground below it counts as 
 # Triangles by the session_uid of the water, its place and the depth that counts, and the arrays that they are made of,
 # as long as a scatter uses them: water that has not changed has the same object.
 _plans: "WeakValueDictionary[tuple, PlanTriangles]" = WeakValueDictionary()
-_made_of: "WeakKeyDictionary[PlanTriangles, tuple[np.ndarray, ...]]" = WeakKeyDictionary()
+_arrays_of: "WeakKeyDictionary[PlanTriangles, tuple[np.ndarray, ...]]" = WeakKeyDictionary()
 
 
 def water_to_avoid(terrain, where) -> "PlanTriangles | None":
@@ -33,9 +33,9 @@ def water_to_avoid(terrain, where) -> "PlanTriangles | None":
     in_plan = np.array(water.matrix_local, np.float64)[[0, 1, 3]]  # a move upwards changes nothing
     key = water.session_uid, in_plan.tobytes(), wadeable
     plan = _plans.get(key)
-    if plan is None or not all(map(_are_equal, _made_of[plan], arrays)):
+    if plan is None or not all(map(_are_equal, _arrays_of[plan], arrays)):
         plan = _plans[key] = _in_plan(vertices, triangles[(depth[triangles] > wadeable).any(axis=1)], water)
-        _made_of[plan] = arrays
+        _arrays_of[plan] = arrays
     return plan
 
 

@@ -21,7 +21,7 @@ def depth_of(surface):
 
 
 def coast(rows, columns, shore):
-    """Return a sea stored as 0 m up to the column `shore`, and a beach of 1 : 10 beside it."""
+    """Return a sea stored as 0 m up to the column `shore`, and then a beach of 1 : 10."""
     return np.tile(np.maximum(np.arange(columns) - shore, 0) * STEP / 10.0, (rows, 1))
 
 
@@ -91,7 +91,7 @@ def test_a_floor_with_heights_keeps_its_depth():
 
 
 def test_a_floor_in_whole_metres_keeps_its_depth():
-    """Its steps are level, as is the surface of a lake beside it, which has another level."""
+    """Its steps are level. So is the surface of a lake at another height."""
     heights = np.tile(np.rint(np.linspace(-6.0, 6.0, 160)), (70, 1))
     heights[20:50, 110:150] = 3.0
     heights[21:49, 111:149] = 2.0

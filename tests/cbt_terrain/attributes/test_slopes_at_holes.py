@@ -8,7 +8,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes import pyramid, sky_layer
 from adaptive_terrain.cbt_terrain.attributes.attribute import SamplePoints
 from adaptive_terrain.cbt_terrain.attributes.catalogue import ATTRIBUTES
-from adaptive_terrain.cbt_terrain.field import derived_arrays, holes
+from adaptive_terrain.cbt_terrain.field import continued_slopes, derived_arrays
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import from_array
 from adaptive_terrain.cbt_terrain.field.store import open_store, read_json
@@ -126,7 +126,7 @@ def test_whole_numbers_are_continued_by_tile(tmp_path, tiled, monkeypatch, turn)
     settings = ImportSettings(str(source), no_data=65535.0, holes=True, height_scale=0.1)
     for store, cut, rows in ("whole", None, 128), ("tiled", 5, 11):
         tiled(cut)
-        monkeypatch.setattr(holes, "ROWS", rows)
+        monkeypatch.setattr(continued_slopes, "ROWS", rows)
         report = run_import(settings, tmp_path / store)
     (arrays, text), (wanted, wanted_text) = content(tmp_path / "tiled"), content(tmp_path / "whole")
     assert text == wanted_text and all(np.array_equal(array, wanted[name]) for name, array in arrays.items())

@@ -5,6 +5,7 @@ import functools
 import os
 import struct
 import sys
+from pathlib import Path
 
 import forked_children
 import numpy as np
@@ -163,6 +164,8 @@ def test_a_quick_import_converts_heights(tmp_path, grids, monkeypatch, has_overv
 @pytest.mark.thorough
 def test_without_a_grid_heights_stay_and_a_warning_tells(files, tmp_path, monkeypatch):
     monkeypatch.setenv("PROJ_DATA", str(tmp_path / "grids"))
+    if any((Path(folder) / name).is_file() for folder in datums.SYSTEM_FOLDERS for name in datums.GRIDS["EGM96"]):
+        pytest.skip("this computer has a grid")
     write_grid(tmp_path / "grids" / "egm08_25.gtx", egm2008)
     settings = ImportSettings(str(files))
     report = describe_sources(settings)

@@ -36,6 +36,7 @@ from .codes import MIN_EXPONENT
 from .heightfield import HeightField
 from .hierarchy import items, stored_at
 from .lattice import PAGE, Lattice, rows_of
+from .shared_pages import pack_pages
 
 # Cells along the side of a tile, a multiple of ALIGNED.
 TILE = 2048
@@ -290,7 +291,8 @@ def _add_errors(
     """
     depth = field.lattice.cell_depth - bisections
     inputs = [below, above, stored_at(field.lattice, depth), corner, flat(field.table, wp.float32)]
-    inputs += [field.lattice.group(depth), flat(field.error, wp.uint8), flat(off, wp.float32), flat(errors, wp.float32)]
+    inputs += [field.lattice.group(depth), *pack_pages(field.error, wp.uint8)]
+    inputs += [flat(off, wp.float32), flat(errors, wp.float32)]
     launch_step(kernels.add_errors, items(above), inputs, threads)
 
 

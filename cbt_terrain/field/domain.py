@@ -13,6 +13,7 @@ from .displacement_layers import fill_layers
 from .heightfield import HeightField
 from .lattice import MAX_MESHLET
 from .meshlet_errors import error_for
+from .shared_pages import pack_pages
 
 # Beyond all coordinates: the lattice ends with the raster.
 NO_BORDER = 2**31 - 1
@@ -58,12 +59,12 @@ def make_domain(field: HeightField, meshlet: int, height_scale: float, height_of
     domain.cell_columns, domain.cell_rows = lattice.extent(lattice.cell_depth)
     # Numbers of the cells' and the curvatures' tables of codes, which follow those of the groups.
     domain.cell_group, domain.curvature_group = lattice.groups, lattice.groups + domain.bicubic
-    domain.error = flat(error_for(field, meshlet), wp.uint8)
+    domain.error, domain.error_places = pack_pages(error_for(field, meshlet), wp.uint8)
     domain.table = flat(field.table, wp.float32)
     base, pages = lattice.range_layout()
     domain.range_first, domain.range_pages = shared(base, wp.int64), shared(pages, wp.int32)
     domain.range_cells = base[-2]
-    domain.ranges = flat(field.ranges, wp.uint16)
+    domain.ranges, domain.range_places = pack_pages(field.ranges, wp.uint16)
     # `steps`: how 16-bit samples convert to metres, None for float32.
     domain.samples = codes.pack_samples(field.samples, field.steps)
     return domain

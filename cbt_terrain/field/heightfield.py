@@ -17,6 +17,7 @@ from .detail_bounds import DetailTerm, highest
 from .displacement_layers import Ground, bound_terms, pack_layers
 from .georeference import Place, known_place, move_place
 from .lattice import Lattice
+from .shared_pages import Paged
 from .store_arrays import all_finite
 
 if TYPE_CHECKING:
@@ -161,9 +162,9 @@ class HeightField:
     """
 
     raster: HeightRaster
-    error: np.ndarray
+    error: Paged
     exponents: list[int]
-    ranges: np.ndarray
+    ranges: Paged
     range_base: float
     range_step: float
     min_height: float

@@ -17,12 +17,13 @@ from .derived_arrays import derive_cached
 from .heightfield import HeightField
 from .hierarchy import items, stored_at
 from .lattice import PAGE, Lattice
+from .shared_pages import Paged, read_into
 
 # Codes of cells that are copied at once, before their neighbours change.
 BAND = 1 << 22
 
 
-def error_for(field: HeightField, meshlet: int) -> np.ndarray:
+def error_for(field: HeightField, meshlet: int) -> Paged:
     """Return the error hierarchy for leaves that are drawn as 4**meshlet triangles.
 
     The result is uint8 [node_count]: a code for each diamond, which the field's table turns into metres. Errors are
@@ -40,7 +41,7 @@ def _load_or_expand(field: HeightField, meshlet: int) -> np.ndarray:
 
     def expand(arrays: dict[str, np.ndarray]) -> None:
         """Fill the array with the field's codes, and raise them."""
-        arrays[name][:] = field.error
+        read_into(field.error, arrays[name])
         expand_codes(field.lattice, arrays[name], field.table, meshlet, launch.default_threads())
 
     return derive_cached(field.raster, {name: (field.error.shape, np.uint8)}, expand)[name]

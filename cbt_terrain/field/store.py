@@ -4,7 +4,8 @@
     STORE/store.json            description, and the name of the folder of arrays
     STORE/data-*/samples.npy    [height, width]: float32, or uint16 if 16 bits can number the source's steps
     STORE/data-*/error.npy      uint8 [lattice.node_count], codes (codes.py) in the order of lattice.py
-    STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]
+    STORE/data-*/ranges.npy     uint16 [lattice.range_count, 2]; in place of these two files there may be
+                                error_pages.npy and error_places.npy, or those of `ranges` (shared_pages.py)
     STORE/data-*/valid.npy      uint8 [height, width], if missing samples are cut out
     STORE/data-*/error_m1.npy   error hierarchies for meshlets, computed on first use
     STORE/data-*/*_c.npy        arrays of the bicubic surface (bicubic.py), computed on first use;
@@ -42,13 +43,8 @@ from . import codes
 from .displacement_layers import layers_below
 from .heightfield import HeightField, HeightRaster
 from .lattice import fit
-from .store_arrays import (
-    AGAIN,
-    allocate_array,
-    append_checksums,
-    is_cut_off,
-    map_array,
-)
+from .shared_pages import NAMES, Paged, map_pages, parts_of, share_pages
+from .store_arrays import AGAIN, allocate_array, append_checksums, is_cut_off, map_array
 from .store_entries import LATTICE, check_entries
 from .store_folder import (
     JSON_NAME,
@@ -64,6 +60,7 @@ from .store_layers import LayerFiles
 
 VERSION = 6
 FINER_VERSION = 7  # of stores with finer tiles, which older versions of this program cannot show
+SHARED_VERSION = 8  # ... and of stores with shared pages
 REMEDY = "import it again"
 
 _NUMBERS = (
@@ -110,8 +107,7 @@ def read_json(path: Path, file: Path | None = None) -> dict:
         raise TerrainError(what, expected="a folder that `import` has written", fix=fix) from None
     except (OSError, ValueError, RecursionError) as reason:
         raise TerrainError(f"The store {file} cannot be read ({cause(reason)})", fix=REMEDY) from reason
-    is_finer = isinstance(content, dict) and "finer" in content
-    needed = FINER_VERSION if is_finer else VERSION
+    needed = _version_of(content) if isinstance(content, dict) else VERSION
     if not isinstance(content, dict) or content.get("version") != needed:
         version = content.get("version") if isinstance(content, dict) else None
         raise TerrainError(f"The store {path} has version {version}", expected=f"version {needed}", fix=REMEDY)
@@ -122,6 +118,11 @@ def read_json(path: Path, file: Path | None = None) -> dict:
     except ValueError as fault:
         raise TerrainError(f"The store {file} is damaged ({fault})", fix=REMEDY) from None
     return content
+
+
+def _version_of(content: dict) -> int:
+    """Return the version of a store with these entries of store.json."""
+    return SHARED_VERSION if "shared" in content else FINER_VERSION if "finer" in content else VERSION
 
 
 def _sum_of(content: dict) -> str:
@@ -178,10 +179,16 @@ def _open(path: Path, content: dict) -> HeightField:
         path=path,
         finer=finer_tiles.open_tiles(folder, lattice, content["finer"]) if "finer" in content else None,
     )
+
+    def pages(name: str, shape: tuple[int, ...], dtype: DTypeLike) -> Paged:
+        """Map an array of pages."""
+        is_shared = name in content.get("shared", ())
+        return map_pages(folder, name, shape, dtype) if is_shared else map_array(folder / f"{name}.npy", shape, dtype)
+
     return HeightField(
         raster,
-        error=map_array(folder / "error.npy", (lattice.node_count,), np.uint8),
-        ranges=map_array(folder / "ranges.npy", (lattice.range_count, 2), np.uint16),
+        error=pages("error", (lattice.node_count,), np.uint8),
+        ranges=pages("ranges", (lattice.range_count, 2), np.uint16),
         **numbers,
     )
 
@@ -191,7 +198,8 @@ def is_intact(field: HeightField) -> bool:
     from . import finer_tiles
 
     surfaces = field, *field.cache.surfaces.values()  # `cache` has what was derived from the field, by kind
-    arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "error", "ranges", "valid")]
+    arrays = [getattr(surface, name) for surface in surfaces for name in ("samples", "valid")]
+    arrays += [part for surface in surfaces for array in (surface.error, surface.ranges) for part in parts_of(array)]
     arrays += [*field.cache.expanded.values(), *field.cache.pyramid]
     masks = [layer.mask for surface in surfaces for layer in layers_below(surface.detail) if layer.mask is not None]
     arrays += [array for mask in masks for array in (mask.values, mask.max_cells)]
@@ -261,10 +269,11 @@ class Draft:
 
         Raises TerrainError if the result could not be opened; the store is then as it was.
         """
+        shared = [name for name in NAMES if share_pages(self.folder, name, self._arrays[name])]
         for name, array in self._arrays.items():
-            append_checksums(self.folder / f"{name}.npy", array)
+            if name not in shared:
+                append_checksums(self.folder / f"{name}.npy", array)
         content = {
-            "version": VERSION if field.raster.finer is None else FINER_VERSION,
             "data": self.folder.name,
             "digest": digest,
             "key": field.raster.digest,  # identifies the heights
@@ -277,9 +286,11 @@ class Draft:
             **({"place": field.raster.place} if field.raster.place else {}),
             **({"layers": layers} if layers else {}),
             **({"finer": field.raster.finer.entry} if field.raster.finer is not None else {}),
+            **({"shared": shared} if shared else {}),
             "provenance": field.provenance,
             "report": report,
         }
+        content["version"] = _version_of(content)
         part = self.folder / JSON_NAME
         part.write_text(self._checked_text(content), encoding="utf-8")
         check_version(self.path, part)  # raises unless the store could be opened with the draft `part`
@@ -289,6 +300,8 @@ class Draft:
         self.published = True
         partial_files.end_work(self.folder, self._lock)  # release the folder's lock
         with suppress(OSError, NotOursError):  # a folder with files of the user stays
+            for name in shared:
+                owned_files.remove_file(self.folder / f"{name}.npy")  # its pages are in another file now
             if previous is not None:
                 remove_arrays(previous)
         remove_abandoned(self.path, with_work=True)  # also unfinished versions, which are of no use now

@@ -71,17 +71,19 @@ def checksums(array: np.ndarray, blocks: Sequence[int], threads: int = 1) -> np.
 
 
 def all_checksums(array: np.ndarray) -> bytes:
-    """Return the checksums of an array as the bytes that follow its data in the file.
-
-    Pages of a mapped array are released from memory; their content is in the file.
-    """
+    """Return the checksums of an array as the bytes that follow its data in the file. Its pages are released."""
     threads, count, sums_of_parts = launch.default_threads(), block_count(array.nbytes), []
-    mapped = getattr(array.base, "_mmap", None)
     for first in range(0, count, SUMMED):
         sums_of_parts.append(checksums(array, range(first, min(first + SUMMED, count)), threads).astype("<u4"))
-        if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):  # its pages count as memory of this process
-            mapped.madvise(mmap.MADV_DONTNEED)
+        release_pages(array)
     return b"".join(sums.tobytes() for sums in sums_of_parts)
+
+
+def release_pages(array: np.ndarray) -> None:
+    """Release the memory of an array of `allocate_array`, which counts as memory of the process, but is in its file."""
+    mapped = getattr(array.base, "_mmap", None)
+    if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
+        mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def write_array(file: Path, array: np.ndarray) -> None:

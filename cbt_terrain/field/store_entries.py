@@ -10,6 +10,7 @@ from ..errors import shown
 from .codes import MAX_EXPONENT, MIN_EXPONENT, exponent_of
 from .georeference import LARGEST_EXTENT, SMALLEST_EXTENT
 from .lattice import fit
+from .shared_pages import NAMES
 
 _DATA_NAME = re.compile(r"data-[0-9a-f]{32}")
 # Arguments of `fit` for a raster's lattice.
@@ -129,6 +130,11 @@ def _is_finer(value: JsonValue) -> bool:
     return is_scale and 1 <= bits <= MAX_FINER_BITS and 0 < tiles <= MAX_FINER_TILES
 
 
+def _is_shared(value: JsonValue) -> bool:
+    """Return whether a value is a list of names of arrays with shared pages."""
+    return isinstance(value, list) and all(name in NAMES for name in value)
+
+
 _HEIGHT = (lambda value: _is_number(value, -LARGEST, LARGEST), "a finite number of metres")
 _DISTANCE = (lambda value: _is_number(value, 0.0, LARGEST), "a finite number of metres, at least 0")
 _SLOPE = (lambda value: _is_number(value, 0.0, 1e60), "a finite number, at least 0")
@@ -162,6 +168,7 @@ _ENTRIES: dict[str, _Entry] = {
 _OPTIONAL: dict[str, _Entry] = {
     "layers": (_is_layers, f"an object of at most {MAX_LAYERS} layers and their units"),
     "finer": (_is_finer, f"the numbers of finer tiles, bits of 1 to {MAX_FINER_BITS}"),
+    "shared": (_is_shared, f"some of {', '.join(NAMES)}"),
     "place": (_is_place, "six finite numbers that map metres to coordinates one to one"),
 }
 

@@ -28,6 +28,7 @@ FIRST = "first"  # in the folder of arrays of loaded tiles: the store of the fir
 # All files of a folder of arrays; a folder with any other file belongs to the user and is left alone.
 _ARRAY_FILE = re.compile(
     r"(samples|raster|errors?|ranges|valid|pyramid(_[a-z][a-z0-9_]{0,40})?|tops|bottoms|borders|missing|kinds)\.npy"
+    r"|(error|ranges)_(pages|places)\.npy"
     r"|((error|ranges|numbers)_c|error(_c)?_m\d+)\.npy|catalogue\.json|work\.json|tiles(-[0-9a-f]{32})?\.jsonl"
     r"|(read|measured)-[0-9]{1,12}\.part"  # of tiling/part_files.py
     r"|(effect_[a-z_]+|masks|mask_maxima)_[0-9a-f]{16}\.npy"

@@ -12,6 +12,7 @@ from ..run import stopping
 from . import finer_tiles
 from .derived_arrays import derived_shapes, samples_by_level
 from .displacement_layers import mask_levels
+from .shared_pages import SharedPages, verify_pages
 from .store import data_folder, open_store
 from .store_arrays import PAGE_BYTES, file_bytes, verify_array
 from .store_folder import is_array_file
@@ -25,7 +26,8 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
     """
     field = open_store(path)
     field.raster.check_samples()
-    folder, block_counts = data_folder(field.raster), {}
+    folder = data_folder(field.raster)
+    block_counts: dict[str, int] = {}
     if folder is None:
         raise TerrainError(f"{path} was replaced while it was opened", fix="check it again")
     # The store's own arrays have to be there; `derived` ones are checked if they are.
@@ -36,7 +38,9 @@ def verify(path: str | os.PathLike) -> dict[str, int]:
         arrays |= dict(zip(names, field.raster.finer.arrays, strict=True))
     for name, array in arrays.items():
         stopping.check()
-        if array is not None:
+        if isinstance(array, SharedPages):
+            block_counts |= verify_pages(folder, name, array.shape, array.dtype)
+        elif array is not None:
             block_counts[f"{name}.npy"] = verify_array(folder / f"{name}.npy", array.shape, array.dtype)
     # By the file's name, shape and dtype that it must have.
     derived = {f"{name}.npy": shape_and_dtype for name, shape_and_dtype in derived_shapes(field.lattice).items()}

@@ -17,6 +17,7 @@ from ...kernels.fitting import raising
 from ..field import codes, hierarchy
 from ..field.finer_tiles import FinerTiles
 from ..field.heightfield import HeightField
+from ..field.shared_pages import read_into
 from ..run import launch
 from ..run.buffers import flat
 
@@ -59,13 +60,14 @@ def make_codes(
     values = np.concatenate([[0.0], np.ldexp(first * 2.0 ** (steps % per_octave / per_octave), steps // per_octave)])
     # Errors up to code_ends[n] get code n.
     code_ends = np.concatenate([[0.0], values[1:-1] * 2.0 ** (0.5 / per_octave)])  # geometric means with the next code
-    diamond_codes = np.empty_like(field.error)
+    diamond_codes = np.empty(field.error.shape, np.uint8)
+    read_into(field.error, diamond_codes)
     # Of each group of depths: the errors of its old codes, float32 [256], and its slice of the array of codes.
     for group_errors, part in zip(field.table, codes.parts(field.lattice, len(diamond_codes)), strict=True):
         new = np.searchsorted(code_ends, group_errors / START)
         # With finer tiles `has_finer` is 1, which is also the first code: none is 0.
         new = np.maximum(new, int(plain.has_finer))
-        codes.translate(field.error[part], new, diamond_codes[part])
+        codes.translate(diamond_codes[part], new, diamond_codes[part])
     values = values.astype(np.float32)
     if plain.has_finer:
         _restore_in_tiles(field, plain, diamond_codes, values, threads)

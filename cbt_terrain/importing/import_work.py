@@ -157,7 +157,7 @@ def _begin(work: TileWork, draft: Draft, source: TileSource) -> None:
     moved = None if before is None else tiles_moved(before, work)
     has_same_tiles = before is not None and moved == (0, 0) and before.grid == work.grid
     if before is not None and has_same_tiles:
-        with suppress(OSError, ValueError):  # then everything is made anew
+        with suppress(OSError, ValueError, TerrainError):  # then everything is made anew
             work.copy(before, unit_count(work.grid, source))
     work.attach(draft)  # makes the arrays that were not copied
     if before is not None and moved is not None and not has_same_tiles:

@@ -10,6 +10,7 @@ from ...kernels.query import surface as kernels
 from ..field import codes, displacement_layers
 from ..field.domain import box_of
 from ..field.heightfield import PLANE_BITS, HeightField
+from ..field.shared_pages import pack_pages
 from ..plain_numbers import vertical
 from ..run.buffers import flat, shared
 from ..view.linear import add_up
@@ -64,12 +65,13 @@ def height_ranges_of(field: HeightField, surface: kernels.QueriedSurface) -> cro
     ranges.widening = widening_of(field, surface, field.max_change)
     first, pages = lattice.range_layout()
     ranges.first, ranges.pages = shared(first, wp.int64), shared(pages, wp.int32)
-    ranges.ranges = flat(field.ranges, wp.uint16)
+    ranges.ranges, ranges.range_places = pack_pages(field.ranges, wp.uint16)
     # First entries of the ranges of cells (behind those of all blocks), and of the curvatures (behind all errors).
     # `table` has metres of the codes by group: `groups` groups of depths, then the cells, then the curvatures.
     ranges.cells, ranges.curvatures = first[-2], lattice.node_count
     ranges.cell_pages, ranges.curvature_group = pages[-1], lattice.groups + 1
-    ranges.table, ranges.error = flat(field.table, wp.float32), shared(field.error, wp.uint8)
+    ranges.error, ranges.error_places = pack_pages(field.error, wp.uint8)
+    ranges.table = flat(field.table, wp.float32)
     # Each term of the displacement is bounded in several ways as a smooth part, whose curvature is known, plus a
     # remainder. In the first way there is no remainder, so its curvature bounds that of the whole term.
     ranges.detail_curvature = add_up(part.splits[0].curvature for part in field.parts)

@@ -8,7 +8,7 @@ each two levels of vertices (a group) and one for the raster's cells.
 
 import numpy as np
 
-from ..field.store_arrays import verify_array
+from ..field.shared_pages import Paged
 from .tile_grid import OwnedArea, TileGrid, halved, owned_areas
 from .tile_records import MEASURED, READ
 from .tile_work import STORED, TileWork
@@ -58,7 +58,7 @@ def copy_moved(before: TileWork, work: TileWork, moved: tuple[int, int]) -> None
         return
     numbers = _common_tiles(before.grid, work.grid, moved)  # earlier number of a tile: its new one
     for name in STORED if numbers else ():
-        verify_array(before.folder / f"{name}.npy", *before.arrays()[name])
+        before.verify(name)
     read, measured = before.records(READ), before.records(MEASURED)
     records = []
     for number, new in numbers.items():
@@ -100,13 +100,13 @@ def _copy_measured(before: TileWork, number: int, work: TileWork, new: int) -> N
     Ranges are stored for every other sample only, so their layout is that of a grid at half the resolution.
     """
     work.open("borders")[new] = before.open("borders")[number]
-    _copy_entries(before.grid, number, before.open("error"), work.grid, new, work.open("error"), has_cells=True)
-    halves = halved(before.grid), number, before.open("ranges"), halved(work.grid), new, work.open("ranges")
+    _copy_entries(before.grid, number, before.published("error"), work.grid, new, work.open("error"), has_cells=True)
+    halves = halved(before.grid), number, before.published("ranges"), halved(work.grid), new, work.open("ranges")
     _copy_entries(*halves, has_cells=False)
 
 
 def _copy_entries(
-    grid: TileGrid, number: int, values: np.ndarray, new_grid: TileGrid, new: int, whole: np.ndarray, has_cells: bool
+    grid: TileGrid, number: int, values: Paged, new_grid: TileGrid, new: int, whole: np.ndarray, has_cells: bool
 ) -> None:
     """Copy the entries of tile `number` of a grid from the array of its raster to tile `new` of another one.
 
@@ -122,14 +122,15 @@ def _copy_entries(
             _copy_area(area, values, new_area, whole)
 
 
-def _copy_area(area: OwnedArea, values: np.ndarray, new_area: OwnedArea, whole: np.ndarray) -> None:
+def _copy_area(area: OwnedArea, values: Paged, new_area: OwnedArea, whole: np.ndarray) -> None:
     """Copy a tile's entries of a group from the array of one raster to that of another.
 
     area, values: of the earlier raster; new_area, whole: of the new one. A tile at a raster's border writes up to the
     end of the image, so its two areas may differ in size; the entries that only one of them has are 0.
     """
     height, width = min(area.height, new_area.height), min(area.width, new_area.width)
-    if area.is_paged and new_area.is_paged and (area.height, area.width) == (new_area.height, new_area.width):
+    is_paged = area.is_paged and new_area.is_paged and (area.height, area.width) == (new_area.height, new_area.width)
+    if is_paged and isinstance(values, np.ndarray):
         new_area.paged(whole)[:] = area.paged(values)
     else:
         whole[new_area.positions()[:height, :width]] = values[area.positions()[:height, :width]]

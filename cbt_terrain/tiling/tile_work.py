@@ -34,8 +34,9 @@ from numpy.typing import DTypeLike
 from ..errors import TerrainError
 from ..field import codes, store_folder
 from ..field.lattice import TileBox, lattice_for
+from ..field.shared_pages import Paged, has_shared_pages, map_pages, read_into, verify_pages
 from ..field.store import Draft
-from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, file_bytes, header
+from ..field.store_arrays import BLOCK_BYTES, PAGE_BYTES, allocate_array, file_bytes, header, verify_array
 from ..run import owned_files, partial_files
 from ..run.named_file import open_regular, read_regular, read_start
 from .tile_grid import TILE_BITS, TileGrid
@@ -170,8 +171,12 @@ class TileWork:
         self._write(RECORDS_NAME, _lines(records))
 
     def _copy_array(self, before: "TileWork", name: str) -> bool:
-        """Copy the file of an array, and return whether its checksums hold."""
+        """Copy an array of a published store, and return whether its checksums hold."""
         shape, dtype = self.arrays()[name]
+        if has_shared_pages(before.folder, name):
+            before.verify(name)
+            read_into(before.published(name), allocate_array(self.folder / f"{name}.npy", shape, dtype))
+            return True
         nbytes, sums = int(np.prod(shape)) * np.dtype(dtype).itemsize, []
         file = f"{name}.npy"
         with open_regular(before.folder / file) as reader, (self.folder / file).open("wb") as writer:
@@ -228,6 +233,18 @@ class TileWork:
             return np.zeros(shape, dtype)
         file = os.fspath(self.folder / f"{name}.npy")  # numpy would resolve all links of a Path, 0.1 ms
         return np.memmap(file, dtype, "r+", PAGE_BYTES, shape).view(np.ndarray)
+
+    def verify(self, name: str) -> None:
+        """Raise TerrainError if an array of a published store is damaged. Its pages may be shared."""
+        if has_shared_pages(self.folder, name):
+            verify_pages(self.folder, name, *self.arrays()[name])
+        else:
+            verify_array(self.folder / f"{name}.npy", *self.arrays()[name])
+
+    def published(self, name: str) -> Paged:
+        """Map an array of a published store for reading. Its pages may be shared."""
+        is_shared = has_shared_pages(self.folder, name)
+        return map_pages(self.folder, name, *self.arrays()[name]) if is_shared else self.open(name)
 
     def raw(self, name: str, box: TileBox) -> np.ndarray:
         """Return a part of an array as a copy: stored samples or marks of missing ones, the last of the box included.
@@ -363,7 +380,7 @@ def work_in(folder: Path) -> TileWork | None:
         if corner is not None and len(corner) != 2:
             return None
         work = TileWork(folder, TileGrid(lattice, bits), steps, holes, digest, corner)
-        is_whole = all(work.has_array(name) for name in STORED)
+        is_whole = all(work.has_array(name) or has_shared_pages(folder, name) for name in STORED)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, ArithmeticError, TerrainError):
         return None
     return work if is_whole else None

@@ -9,7 +9,7 @@ import warp as wp
 
 from ..field.codes import code_of, error_of
 from ..field.hierarchy import largest_below, round_up
-from ..field.layout import Depth, diamond, entry, holds
+from ..field.layout import Depth, diamond, entry, holds, stored_entry
 from ..unchecked import put
 
 
@@ -44,6 +44,7 @@ def add_errors(
     table: wp.array(dtype=wp.float32),
     group: int,
     codes: wp.array(dtype=wp.uint8),
+    places: wp.array(dtype=wp.int32),
     distance: wp.array(dtype=wp.float32),
     errors: wp.array(dtype=wp.float32),
 ):
@@ -52,12 +53,14 @@ def add_errors(
     It is the stored error on the bilinear surface plus the largest distance between both surfaces. finer, coarser:
     layouts of `distance` and `errors` for the children and the diamond. distance: that distance, metres; the diamond's
     becomes the largest of its children. whole: layout of `codes`, the bilinear errors of the whole raster, whose metres
-    are in group `group` of `table`. corner: the window's first diamond in the raster.
+    are in group `group` of `table`. places: of their pages, see `stored_entry`. corner: the window's first diamond in
+    the raster.
     """
     p = diamond(coarser, offset + wp.int64(wp.tid()))
     if holds(coarser, p):  # the last number of a row of sides may be beyond the east end
         index = entry(coarser, p[0], p[1])
-        bilinear_error = error_of(table, group, codes, entry(whole, p[0] + corner[0], p[1] + corner[1]))
+        code_index = stored_entry(places, entry(whole, p[0] + corner[0], p[1] + corner[1]))
+        bilinear_error = error_of(table, group, codes, code_index)
         distance[index] = largest_below(distance, finer, coarser, p)
         raised = round_up(wp.float64(bilinear_error) + wp.float64(distance[index]))
         errors[index] = wp.max(raised, largest_below(errors, finer, coarser, p))

@@ -64,8 +64,10 @@ class Domain:
     curvature_group: wp.int32  # group of the errors that halve below the cells: for a bilinear surface the cells'
     table: wp.array(dtype=wp.float32)  # metres: 256 values a group
     error: wp.array(dtype=wp.uint8)
+    error_places: wp.array(dtype=wp.int32)  # ... `places` of their pages, see `stored_entry`
     range_first: wp.array(dtype=wp.int64)  # `base` and `pages` of the ranges
     range_pages: wp.array(dtype=wp.int32)
     range_cells: wp.int64  # first entry of the raster's cells, for a bicubic surface
     ranges: wp.array(dtype=wp.uint16)
+    range_places: wp.array(dtype=wp.int32)
     samples: Samples

@@ -10,6 +10,10 @@ cells.
 
 import warp as wp
 
+from ..unchecked import item_at
+
+PAGE_BITS = wp.constant(wp.int64(10))  # a page has 2^10 entries
+
 
 @wp.func
 def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:
@@ -21,6 +25,18 @@ def tile_index(x: wp.int32, y: wp.int32, pages: wp.int32) -> wp.int64:
     # Bits 2 .. 4 of x and y choose the tile in its page, the lowest two the vertex in its tile.
     inside = ((y & 28) << 5) | ((x & 28) << 2) | ((y & 3) << 2) | (x & 3)
     return (page << wp.int64(10)) | wp.int64(inside)
+
+
+@wp.func
+def stored_entry(places: wp.array(dtype=wp.int32), entry: wp.int64) -> wp.int64:
+    """Return where an entry is in memory: equal pages may be stored once.
+
+    places: number of the stored page for each page; empty if each page is stored where its entries say.
+    """
+    if places.shape[0] > 0:
+        page = wp.int64(item_at(places, entry >> PAGE_BITS))
+        entry = (page << PAGE_BITS) | (entry & wp.int64(1023))
+    return entry
 
 
 @wp.struct

@@ -16,7 +16,7 @@ import warp as wp
 
 from ..field.codes import corners_of, error_of, twist_of
 from ..field.finer import finer_corners
-from ..field.layout import tile_index
+from ..field.layout import stored_entry, tile_index
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .surface import QueriedSurface, add_detail, finer_tile, height_and_slopes, in_finer_cell
@@ -40,12 +40,14 @@ class HeightRanges:
     first: wp.array(dtype=wp.int64)  # of each group of levels: its first entry
     pages: wp.array(dtype=wp.int32)
     ranges: wp.array(dtype=wp.uint16)  # lowest and highest q of each entry
+    range_places: wp.array(dtype=wp.int32)  # ... `places` of their pages, see `stored_entry`
     cells: wp.int64  # of a bicubic surface: the first entry of the raster's cells in the ranges
     curvatures: wp.int64  # ... and in the errors
     cell_pages: wp.int32
     curvature_group: wp.int32
     table: wp.array(dtype=wp.float32)  # metres of the codes in `error`, by group
     error: wp.array(dtype=wp.uint8)  # codes of errors and curvatures
+    error_places: wp.array(dtype=wp.int32)
     detail_curvature: wp.float64  # second derivative of the detail, 1 / metre before scaling, at most
 
 
@@ -78,11 +80,9 @@ class RaySegment:
 @wp.func
 def range_at(height_ranges: HeightRanges, entry: wp.int64):
     """Return the lowest and highest height (metres, displacement included) of an entry of the stored ranges."""
-    a = height_ranges.base + wp.float64(item_at(height_ranges.ranges, wp.int64(2) * entry)) * height_ranges.step
-    b = (
-        height_ranges.base
-        + wp.float64(item_at(height_ranges.ranges, wp.int64(2) * entry + wp.int64(1))) * height_ranges.step
-    )
+    index = wp.int64(2) * stored_entry(height_ranges.range_places, entry)
+    a = height_ranges.base + wp.float64(item_at(height_ranges.ranges, index)) * height_ranges.step
+    b = height_ranges.base + wp.float64(item_at(height_ranges.ranges, index + wp.int64(1))) * height_ranges.step
     return smaller(a, b) - height_ranges.widening, larger(a, b) + height_ranges.widening
 
 
@@ -178,7 +178,8 @@ def cell_curvature(height_ranges: HeightRanges, i: wp.int32, j: wp.int32) -> wp.
     The unit is metres before scaling, over squared cells.
     """
     entry = height_ranges.curvatures + tile_index(i, j, height_ranges.cell_pages)
-    return wp.float64(error_of(height_ranges.table, height_ranges.curvature_group, height_ranges.error, entry))
+    index = stored_entry(height_ranges.error_places, entry)
+    return wp.float64(error_of(height_ranges.table, height_ranges.curvature_group, height_ranges.error, index))
 
 
 @wp.func

@@ -16,7 +16,7 @@ import warp as wp
 from ..field.codes import sample_at
 from ..field.domain import Domain
 from ..field.finer import STORED_BITS, covers, finer_sample, range_in_tile
-from ..field.layout import tile_index
+from ..field.layout import stored_entry, tile_index
 from ..unchecked import item_at, prefetch
 from .stored_errors import change_limits, is_beyond, reach_of
 
@@ -58,7 +58,8 @@ def heights_of_cells(domain: Domain, i0: wp.int32, j0: wp.int32, i1: wp.int32, j
         for j in range(j0, j1 + 1):
             for i in range(i0, i1 + 1):
                 # From entry 2 * range_cells on, `ranges` has two codes for each raster cell.
-                index = wp.int64(2) * (domain.range_cells + tile_index(i, j, domain.cell_pages))
+                entry = domain.range_cells + tile_index(i, j, domain.cell_pages)
+                index = wp.int64(2) * stored_entry(domain.range_places, entry)
                 min_code = wp.min(min_code, wp.int32(item_at(domain.ranges, index)))
                 max_code = wp.max(max_code, wp.int32(item_at(domain.ranges, index + wp.int64(1))))
         low = domain.range_base + wp.float64(min_code) * domain.range_step
@@ -87,8 +88,8 @@ def range_entry(domain: Domain, x: wp.int32, y: wp.int32, levels_up: wp.int32) -
     """
     group = levels_up >> 2
     shift = domain.unit_bits - domain.levels + 1 + 2 * group  # log2 of the grid's step, lattice units
-    entry = tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
-    return wp.int64(2) * (item_at(domain.range_first, group) + entry)
+    entry = item_at(domain.range_first, group) + tile_index(x >> shift, y >> shift, item_at(domain.range_pages, group))
+    return wp.int64(2) * stored_entry(domain.range_places, entry)
 
 
 @wp.func

@@ -14,7 +14,7 @@ from ..field.codes import corners_of, error_of, twist_of
 from ..field.domain import Domain
 from ..field.finer import STORED_BITS, cell_change, limits_over, stored_bound, stored_change
 from ..field.hierarchy import round_up
-from ..field.layout import tile_index
+from ..field.layout import stored_entry, tile_index
 from ..unchecked import item_at, prefetch
 
 UP = wp.constant(wp.float32(1.0 + 2.0**-22))  # above the rounding of a sum of two float32
@@ -33,7 +33,7 @@ def cell_entry(domain: Domain, group: wp.int32, i: wp.int32, j: wp.int32) -> wp.
     error = wp.float32(0.0)
     if i >= 0 and j >= 0 and i < domain.cell_columns and j < domain.cell_rows:
         index = item_at(domain.base, group) + tile_index(i, j, domain.cell_pages)
-        error = error_of(domain.table, group, domain.error, index)
+        error = error_of(domain.table, group, domain.error, stored_entry(domain.error_places, index))
     return error
 
 
@@ -163,7 +163,7 @@ def raster_error_at(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32) -
     if is_beyond(domain, x, y, depth):
         error = wp.float32(0.0)
     elif below_cells < 0:
-        index = error_index(domain, x, y, depth)
+        index = stored_entry(domain.error_places, error_index(domain, x, y, depth))
         error = error_of(domain.table, group_of(domain.levels, depth), domain.error, index)
     else:
         bits = domain.unit_bits - domain.levels
@@ -369,4 +369,4 @@ def leaves_tile(domain: Domain, depth: wp.int32) -> wp.bool:
 @wp.func
 def fetch_ahead(domain: Domain, x: wp.int32, y: wp.int32, depth: wp.int32):
     """Prefetch the error of the diamond split at (x, y), and with it those of its tile; above the raster's cells."""
-    prefetch(domain.error, error_index(domain, x, y, depth))
+    prefetch(domain.error, stored_entry(domain.error_places, error_index(domain, x, y, depth)))

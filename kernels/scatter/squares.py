@@ -8,7 +8,7 @@ q.cell_y metres, at least as large as a square; `q.low` and `q.high` are the ran
 import warp as wp
 
 from ..field.domain import Domain
-from ..field.layout import Depth, entry
+from ..field.layout import Depth, entry, stored_entry
 from ..refine.diamond import larger, smaller
 from ..unchecked import item_at
 from .seen import Views, density_bounds
@@ -46,7 +46,7 @@ def heights_over(domain: Domain, q: ScatterSquares, x0: wp.float64, y0: wp.float
         j1 = wp.min(wp.int32((y1 - domain.south) / q.cell_y), q.ranges.rows - 1)
         for j in range(wp.min(wp.int32((y0 - domain.south) / q.cell_y), j1), j1 + 1):
             for i in range(wp.min(wp.int32((x0 - domain.west) / q.cell_x), i1), i1 + 1):
-                index = wp.int64(2) * entry(q.ranges, i, j)
+                index = wp.int64(2) * stored_entry(domain.range_places, entry(q.ranges, i, j))
                 low = smaller(low, wp.float64(item_at(domain.ranges, index)))
                 high = larger(high, wp.float64(item_at(domain.ranges, index + wp.int64(1))))
         low = domain.range_base + low * domain.range_step - domain.max_change

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.field import shared_pages
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.build import build
 from adaptive_terrain.cbt_terrain.field.codes import Steps
@@ -32,9 +33,9 @@ from guarded_flights import guarded_numpy
 from invariants import assert_invariants
 from mutants import mutate
 
-# One square; one that does not fit its lattice; three squares; one with finer tiles.
-SHAPES = (65, 65), (45, 70), (33, 97), (33, 40)
-FINER, FINER_BITS = 3, 4  # number of the last shape
+# One square; one that does not fit its lattice; three squares; one with finer tiles; a coast with shared pages.
+SHAPES = (65, 65), (45, 70), (33, 97), (33, 40), (150, 300)
+FINER, FINER_BITS, COAST = 3, 4, 4  # numbers of the last two shapes
 CRITERIA = (
     Criterion(error_px=1.0, max_depth=15),
     Criterion(error_px=3.0, max_triangles=3000),
@@ -60,6 +61,9 @@ def whole_stores(folder: Path) -> list[Path]:
         y, x = np.mgrid[0:rows, 0:columns]
         noise = np.random.default_rng(seed).standard_normal((rows, columns))
         samples[:] = 40 * np.sin(x / 9) * np.cos(y / 7) + 2 * noise
+        if seed == COAST:
+            samples[:, 40:] = 0.0
+            shared_pages.MIN_SAVED = 0
         built = build(samples, 10.0, 10.0, missing=0, allocate=draft.allocate)
         draft.remove("errors")
         if seed == 2:  # numbers of steps of a centimetre
@@ -72,6 +76,7 @@ def whole_stores(folder: Path) -> list[Path]:
             built = with_finer_tiles(built, FINER_BITS, [(0, 0), (1, 1)], waves, allocate=draft.allocate)
         draft.publish(built, "mutants", {})
         field = open_store(path)
+        assert isinstance(field.error, shared_pages.SharedPages) == (seed == COAST)
         if seed == FINER:
             error_for(field, 1)
             continue

@@ -36,7 +36,7 @@ def mutate(store: Path, out: Path, rng: np.random.Generator) -> str:
         else:
             file = files[rng.integers(len(files))]
             if rng.random() < 0.3:
-                file = next(f for f in files if f.name == "error.npy")
+                file = next(f for f in files if f.name in ("error.npy", "error_pages.npy"))
             done.append(_damage(file, rng))
     return "; ".join(done)
 

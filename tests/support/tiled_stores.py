@@ -14,7 +14,10 @@ from adaptive_terrain.cbt_terrain.tiling.tile_records import READ
 from adaptive_terrain.cbt_terrain.tiling.tile_work import work_in
 from mosaic_files import EAST, NORTH, UTM32, sheet
 
-ARRAYS = "samples", "error", "ranges", "valid"
+ARRAYS = (
+    *("samples", "error", "ranges", "valid"),
+    *("error_pages", "error_places", "ranges_pages", "ranges_places"),  # of shared pages, instead of `error`, `ranges`
+)
 NUMBERS = "exponents", "range_base", "range_step", "min_height", "max_height", "steepest_x", "steepest_y"
 
 

@@ -30,7 +30,7 @@ from ..field.store_folder import check_is_no_store_json
 from ..height_operators.export import FORMATS, MASK_FORMAT, RasterShape
 from ..height_operators.exported_rows import LINES
 from ..importing.placing import Placing, placing_or_middle
-from ..query.grid import heights_on_grid
+from ..query.grid import check_grid_size, heights_on_grid
 from ..run import launch, stopping
 from ..run.owned_files import remove_file
 from ..run.partial_files import sole_writer, written_beside
@@ -163,6 +163,7 @@ def export_height_tiles(
     layers = [TileLayer("", FORMATS[suffix], suffix), *mask_layers(masks)]
     if field.valid is not None:
         layers.append(TileLayer(HOLES, MASK_FORMAT, ".png", low=0.0, high=1.0))
+    check_grid_size((axes[0].grid, axes[1].grid), sum(int(layer.form.dtype.itemsize) for layer in layers))
     names = _names(settings, axes, layers)
     field.raster.check_samples()  # all are finite
     samples = _Samples(field, axes, layers, settings.is_flipped)

@@ -21,7 +21,7 @@ from ..errors import TerrainError, check_path, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
 from ..importing.placing import is_placed, unit_lengths
-from ..query.grid import GridAxis, grid_axes
+from ..query.grid import GridAxis, check_grid_size, grid_axes
 from ..run import child
 from ..run.partial_files import is_device, remove_abandoned, written_beside
 from ..sandbox.store_job import Tell, ask, serve
@@ -46,12 +46,13 @@ def export_raster(
     """
     file = check_export(file)
     field = open_store(store)
-    grid_axes(field.lattice, step)  # raises TerrainError before any file is written
+    axes = grid_axes(field.lattice, step)  # raises TerrainError before any file is written
     known = (HEIGHTS, *field.layers)
     for name in names or ():
         if name not in known:
             raise TerrainError(f"The store {store} has no layer {name!r}", expected=f"some of {', '.join(known)}")
     files = {name: file.with_name(f"{file.stem}_{name}{file.suffix}") for name in names or known}
+    check_grid_size(axes, FORMATS[file.suffix.lower()].dtype.itemsize * len(files))
     if HEIGHTS in files:
         files[HEIGHTS] = file
         field.raster.check_samples()  # raises TerrainError for a height that is not finite

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Heights on a grid of evenly spaced samples, exact where they are samples of the raster or of its finer tiles."""
 
+import math
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import NamedTuple
@@ -16,6 +17,7 @@ from ..run.buffers import shared
 SNAPPED = 1e-5  # a step that differs by less, relatively, from a simple part of the raster's is taken for that part
 MAX_DENOMINATOR = 1 << 20
 MAX_SAMPLES = 1 << 30  # along a side
+MAX_GRID = 1 << 36  # samples of an exported grid that is finer than its raster: about an hour, 137 GB of 16 bits
 COST = 2.0  # of a height, times dearer than a lookup
 
 
@@ -92,6 +94,27 @@ def _ratio_of(cells: float) -> tuple[int, int]:
         return whole, part
     ratio = Fraction(cells).limit_denominator(MAX_DENOMINATOR)
     return ratio.numerator, ratio.denominator
+
+
+def check_grid_size(axes: tuple[GridAxis, GridAxis], sample_bytes: int) -> None:
+    """Raise TerrainError if a grid has more than MAX_GRID samples, and more than its raster.
+
+    sample_bytes: size of a sample in all files of the export together.
+    """
+    across, down = axes
+    count, limit = across.inside * down.inside, max(MAX_GRID, across.samples * down.samples)
+    if count <= limit:
+        return
+    # The least spacing s with (length / s + 1) (length / s + 1) <= limit, rounded up to three digits.
+    lengths = across.length + down.length
+    root = math.sqrt(lengths**2 + 4.0 * (limit - 1) * across.length * down.length)
+    spacing = (lengths + root) / (2.0 * (limit - 1))
+    digit = 10.0 ** (math.floor(math.log10(spacing)) - 2)
+    raise TerrainError(
+        f"The export would have {count:,} samples, {1e-9 * count * sample_bytes:,.0f} GB",
+        expected=f"{limit:,} samples at most",
+        fix=f"choose samples {math.ceil(spacing / digit) * digit:.3g} m or more apart",
+    )
 
 
 def heights_on_grid(

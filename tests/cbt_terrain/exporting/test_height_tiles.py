@@ -18,6 +18,9 @@ from adaptive_terrain.cbt_terrain.exporting.height_tiles import HeightTiles, exp
 from adaptive_terrain.cbt_terrain.exporting.tile_grid import UNREAL_SIZES, axes_of
 from adaptive_terrain.cbt_terrain.field.heightfield import anchored
 from adaptive_terrain.cbt_terrain.field.lattice import fit
+from adaptive_terrain.cbt_terrain.height_operators import exported_rows
+from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
+from adaptive_terrain.cbt_terrain.query.grid import check_grid_size, grid_axes
 from rasterio.transform import Affine
 from rasters import hills, imported, write_raster
 
@@ -288,6 +291,33 @@ def test_settings_that_cannot_work_are_refused(make, tmp_path, settings):
     with pytest.raises(TerrainError):
         make(settings)
     assert list((tmp_path / "tiles").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "settings", [{"step": 0.001}, {"step": 0.005, "size": 32_768}, {"size": 30_000, "tiles": (20, 9)}]
+)
+def test_an_export_of_too_many_samples_is_refused(land, tmp_path, settings, monkeypatch):
+    """The land has 2970 x 1480 m; 2^36 samples are 68,719,476,736."""
+    _, field = land(False)
+    monkeypatch.setattr(height_tiles, "heights_on_grid", None)  # no sample is computed
+    monkeypatch.setattr(exported_rows, "heights_on_grid", None)
+    with pytest.raises(TerrainError) as caught:
+        export_height_tiles(field, tmp_path, HeightTiles("r32", **settings))
+    what, _, expected, fix, _ = caught.value.args
+    count = int(what.split()[4].replace(",", ""))
+    if settings == {"step": 0.001}:
+        assert count == 2_970_001 * 1_480_001 and what.endswith(f"{count * 4e-9:,.0f} GB")
+    assert count > 2**36 and expected == "68,719,476,736 samples at most"
+    fitting = float(fix.split()[2])
+    assert 2**36 * 0.98 < (2970 / fitting + 1) * (1480 / fitting + 1) <= 2**36
+    sizes = [(int(length / fitting + 1e-9) + 1) for length in (2970, 1480)]
+    for axis, size in zip(grid_axes(field.lattice, fitting), sizes, strict=True):
+        assert axis.inside == size
+    check_grid_size(grid_axes(field.lattice, fitting), 4)  # is not refused
+    assert not list(tmp_path.iterdir())
+    if "step" in settings:
+        with pytest.raises(TerrainError, match="The export would have"):
+            export_raster(field.path, tmp_path / "a.tif", step=settings["step"])
 
 
 def test_a_folder_that_cannot_exist_is_refused(land, tmp_path):

@@ -24,6 +24,7 @@ import warp as wp
 from ...kernels.effects import texels as kernels
 from ..errors import TerrainError
 from ..field.heightfield import HeightField
+from ..field.store_folder import check_is_no_store
 from ..run import launch, owned_files, partial_files
 from ..run.buffers import shared
 from ..run.owned_files import open_folder
@@ -96,6 +97,7 @@ def bake(
     ground = _MapGround(field, tiling, vertical_scale, vertical_offset, threads or launch.default_threads())
     by_name = sorted(requests, key=lambda request: request.name)
     images = [_image(ground, request, tile, side, form) for tile, side in enumerate(resolutions) for request in by_name]
+    check_is_no_store(folder)
     try:
         with open_folder(folder, make=True, may_be_link=True):
             pass  # the folder now exists

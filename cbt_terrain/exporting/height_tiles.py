@@ -26,7 +26,7 @@ from ..attributes.exr import BLOCK
 from ..attributes.finer_pyramid import min_level
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField, with_detail
-from ..field.store_folder import check_is_no_store_json
+from ..field.store_folder import check_is_no_store
 from ..height_operators.export import FORMATS, MASK_FORMAT, RasterShape
 from ..height_operators.exported_rows import LINES
 from ..importing.placing import Placing, placing_or_middle
@@ -158,7 +158,7 @@ def export_height_tiles(
         )
     if not os.path.isdir(out):
         raise TerrainError(f"There is no folder {out} to write into", fix="create it or choose another")
-    check_is_no_store_json(out / f"{settings.name}.json")
+    check_is_no_store(out)
     axes = axes_of(field.lattice, settings.size, settings.tiles, settings.overlap, settings.step)
     layers = [TileLayer("", FORMATS[suffix], suffix), *mask_layers(masks)]
     if field.valid is not None:

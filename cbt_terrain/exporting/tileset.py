@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import TerrainError, unwritable
 from ..field.heightfield import HeightField
-from ..field.store_folder import check_is_no_store_json
+from ..field.store_folder import check_is_no_store
 from ..importing.placing import Placing, placing_or_middle
 from ..run import stopping
 from ..run.owned_files import remove_file
@@ -87,7 +87,7 @@ def export_tileset(
         raise TerrainError(f"{path} is no tileset", expected="a .json file in an existing folder")
     if not (math.isfinite(error_m) and error_m > 0.0) or triangles < 1:
         raise TerrainError(f"The error is {error_m} m with {triangles} triangles", expected="numbers above 0")
-    check_is_no_store_json(path)
+    check_is_no_store(path.parent)
     remove_abandoned(path.parent)
     try:
         with sole_writer(path):

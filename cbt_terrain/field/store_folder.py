@@ -179,10 +179,18 @@ def named_folder(path: Path) -> Path | None:
         return None
 
 
-def check_is_no_store_json(path: Path) -> None:
-    """Raise TerrainError if a file is the description of a store, without which the store is lost."""
-    if path.name.casefold() == JSON_NAME and named_folder(path.parent) is not None:
-        raise TerrainError(f"{path} belongs to a terrain store", fix="choose another folder")
+def check_is_no_store(folder: str | os.PathLike) -> None:
+    """Raise TerrainError if a folder for other files, which may be missing, is a store or in a store's own folders.
+
+    A file there could replace the description of the store, or make a folder of arrays one that is never removed.
+    """
+    folder = Path(os.path.realpath(folder))
+    entry = ""  # of the store that contains `folder`; "" for the store itself
+    for parent in (folder, *folder.parents):
+        is_own = is_data_name(entry) or entry in ("", TILES, AHEAD)
+        if is_own and named_folder(parent) is not None:
+            raise TerrainError(f"{folder} belongs to a terrain store", fix="choose another folder")
+        entry = parent.name
 
 
 def _is_current(path: Path, folder: Path) -> bool:

@@ -20,6 +20,7 @@ from ..attributes.png import PngFile
 from ..errors import TerrainError, check_path, unwritable
 from ..field.heightfield import HeightField
 from ..field.store import open_store
+from ..field.store_folder import check_is_no_store
 from ..importing.placing import is_placed, unit_lengths
 from ..query.grid import GridAxis, check_grid_size, grid_axes
 from ..run import child
@@ -69,6 +70,7 @@ def check_export(file: str | os.PathLike) -> Path:
     if not os.path.isdir(file.parent):
         problem = f"{file} cannot be written: there is no folder {file.parent}"
         raise TerrainError(problem, fix="create it or choose another")
+    check_is_no_store(file.parent)
     if is_device(file):
         raise TerrainError(f"{file} is a device or a pipe", expected="a file", fix="choose another name")
     return file

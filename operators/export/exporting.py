@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...cbt_terrain.errors import TerrainError, check_path
-from ...cbt_terrain.field.store_folder import check_is_no_store_json
+from ...cbt_terrain.field.store_folder import check_is_no_store
 from ...cbt_terrain.mesh.archive import finite_json, write_npz
 from ...cbt_terrain.run import stopping
 from ...cbt_terrain.run.owned_files import real_path, remove_file
@@ -144,6 +144,7 @@ def make_folder(path: Path) -> None:
 
     Raises TerrainError.
     """
+    check_is_no_store(path)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -155,7 +156,7 @@ def make_folder(path: Path) -> None:
 
 def check_target(path: Path) -> None:
     """Raise TerrainError if a file must not be written to `path`: no file can have that path, its folder is missing, a
-    folder or device has its name, or it would replace the description of a terrain's store.
+    folder or device has its name, or its folder belongs to a terrain's store.
     """
     check_path("The file", path)
     if os.path.isfile(path.parent):
@@ -170,7 +171,7 @@ def check_target(path: Path) -> None:
         raise TerrainError(f"{path} is a folder", expected="a file to write", fix="choose another name")
     if is_device(path):
         raise TerrainError(f"{path} is a device or a pipe", expected="a file to write", fix="choose another name")
-    check_is_no_store_json(path)
+    check_is_no_store(path.parent)
 
 
 @contextmanager

@@ -3,12 +3,15 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from adaptive_terrain.cbt_terrain.errors import TerrainError
+from adaptive_terrain.cbt_terrain.height_operators.export import export_raster
 from adaptive_terrain.operators.cli import command_line
 from forked_programs import COMMAND_LINE, run_program
 from store_exports import run
@@ -97,6 +100,43 @@ def test_what_cannot_be_written_is_one_sentence(store, tmp_path, capfd, form):
         said = capfd.readouterr().err.splitlines()
         assert message in said[-1] and ".partial" not in said[-1] and "Traceback" not in "".join(said), said
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("part", ["", "data", "data/new", "tiles", "link"])
+def test_outputs_in_the_folders_of_a_store_are_refused(store, tmp_path, capsys, part):
+    copy = tmp_path / "copy"
+    shutil.copytree(store, copy)
+    arrays = json.loads((copy / "store.json").read_text())["data"]
+    (tmp_path / "link").symlink_to(copy / arrays)
+    out = tmp_path / "link" if part == "link" else copy / part.replace("data", arrays)
+    if not part.endswith("new"):
+        out.mkdir(exist_ok=True)
+    before = sorted(tmp_path.rglob("*"))
+    (tmp_path / "points.csv").write_text("x,y\n0,0\n")
+    for argv in (
+        ["tiles", "--out", out],
+        ["bake", "--max-error", "9", "--out", out / "a.npz"],
+        ["tileset", "--max-error", "9", "--out", out / "a.json"],
+        ["maps", "--maps", "slope", "--out", out],
+        ["query", "--points", tmp_path / "points.csv", "--out", out / "heights.csv"],
+        ["accuracy", "--out", out],
+    ):
+        assert run(*argv, "--store", copy) == 1
+        said = capsys.readouterr().err
+        missing = part.endswith("new") and "There is no folder" in said
+        assert missing or "belongs to a terrain store: choose another folder" in said
+    with pytest.raises(TerrainError, match="belongs to a terrain store|here is no folder"):
+        export_raster(copy, out / "heights.exr")
+    (tmp_path / "points.csv").unlink()
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_outputs_beside_and_below_a_store_are_written(store, tmp_path):
+    """A project may have its store at the top."""
+    shutil.copytree(store, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "out").mkdir()
+    assert run("bake", "--store", tmp_path, "--max-error", "9", "--out", tmp_path / "out" / "a.npz") == 0
+    assert (tmp_path / "out" / "a.npz").exists()
 
 
 def test_terrains_of_one_file_name_are_refused(scene, add_terrain, tmp_path, capsys):

@@ -187,8 +187,8 @@ def check_is_no_store(folder: str | os.PathLike) -> None:
     folder = Path(os.path.realpath(folder))
     entry = ""  # of the store that contains `folder`; "" for the store itself
     for parent in (folder, *folder.parents):
-        is_own = is_data_name(entry) or entry in ("", TILES, AHEAD)
-        if is_own and named_folder(parent) is not None:
+        is_reserved = is_data_name(entry) or entry in ("", TILES, AHEAD)
+        if is_reserved and named_folder(parent) is not None:
             raise TerrainError(f"{folder} belongs to a terrain store", fix="choose another folder")
         entry = parent.name
 

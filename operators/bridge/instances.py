@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Places where instances of collections show an object."""
 
+from collections import Counter
+
 import bpy
 import numpy as np
 from mathutils import Matrix
@@ -14,7 +16,7 @@ def instance_transforms(obj, depsgraph) -> list[np.ndarray]:
     Instances inside instances count. Hidden ones, which `depsgraph` has not evaluated, do not, nor do those with a
     scale of 0.
     """
-    if not bpy.data.collections:
+    if not any(_holds(collection, obj) for collection in _maybe_instanced()):
         return []
     # 4 ms for 20,000 objects; foreach_get takes 26
     instancers = [item for item in bpy.data.objects if item.instance_type == "COLLECTION" and item.instance_collection]
@@ -33,7 +35,7 @@ def _transforms(obj, instancers: list, depsgraph) -> list[np.ndarray]:
     """Return the matrices of `instance_transforms`. instancers: objects that show a collection."""
     found = []
     collections = dict.fromkeys(instancer.instance_collection for instancer in instancers)
-    holding = {collection for collection in collections if any(item == obj for item in collection.all_objects)}
+    holding = {collection for collection in collections if _holds(collection, obj)}
     for instancer in instancers:
         collection, evaluated = instancer.instance_collection, instancer.evaluated_get(depsgraph)
         if collection not in holding or not evaluated.is_evaluated:
@@ -44,6 +46,18 @@ def _transforms(obj, instancers: list, depsgraph) -> list[np.ndarray]:
         identity = [np.eye(4)] if _is_in(depsgraph.scene, instancer) else []
         found += [product(place, transform) for place in [*identity, *outer]]
     return found
+
+
+def _maybe_instanced() -> list:
+    """Return the collections that have more users than their parents and a fake user: instances count as users."""
+    owners = [*bpy.data.collections, *(scene.collection for scene in bpy.data.scenes)]
+    parents = Counter(child for owner in owners for child in owner.children)
+    return [item for item in bpy.data.collections if item.users > parents[item] + item.use_fake_user]
+
+
+def _holds(collection, obj) -> bool:
+    """Return whether an object is in a collection or in one of its children."""
+    return any(item == obj for item in collection.all_objects)
 
 
 def _is_in(scene, obj) -> bool:

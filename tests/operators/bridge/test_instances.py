@@ -4,6 +4,7 @@
 import bpy
 import numpy as np
 import pytest
+from adaptive_terrain.operators.bridge import instances
 from adaptive_terrain.operators.bridge.instances import shown_places
 from adaptive_terrain.operators.session import session
 
@@ -56,6 +57,26 @@ def test_places_are_those_that_blender_draws(land, scene):
     scene.collection.objects.link(land)
     bpy.context.view_layer.update()
     assert found_places(land) == expected_places(land) and len(found_places(land)) == 3
+
+
+@pytest.mark.parametrize("others", [False, True])
+def test_objects_are_not_searched_without_instances_of_terrains(scene, add_terrain, monkeypatch, others):
+    terrain, trees = add_terrain(), bpy.data.collections.new("Trees")
+    collection = bpy.data.collections.new("Land")
+    collection.objects.link(terrain)
+    for parent in scene.collection, bpy.data.collections.new("Parent"):
+        parent.children.link(collection)
+    collection.use_fake_user = True
+    if others:
+        trees.objects.link(bpy.data.objects.new("Tree", None))
+        add_instance(trees, "Tree 2", (0.0, 0.0, 0.0), scene.collection)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    monkeypatch.setattr(instances, "_transforms", None)
+    [place] = shown_places(terrain, depsgraph)
+    assert (place == np.eye(4)).all()
+    add_instance(bpy.data.collections["Parent"], "Parents", (0.0, 0.0, 0.0), scene.collection)
+    with pytest.raises(TypeError):  # now they are
+        shown_places(terrain, depsgraph)
 
 
 def test_a_render_refines_a_terrain_that_only_an_instance_shows(land, scene):

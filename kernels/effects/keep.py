@@ -9,7 +9,7 @@ metres; `last`, `last_count`: the last surface's points and their number.
 import warp as wp
 
 from ..field.noise import scramble
-from ..unchecked import count_same_floats, count_same_vec3s, item_at, move_items, put
+from ..unchecked import copy_items, count_same_floats, count_same_vec3s, item_at, put
 
 # Initial balance of `match_anywhere`, 5 for each of 51 sampled points without a match: up to 3,000 points are searched.
 ALWAYS = wp.constant(256)
@@ -188,4 +188,4 @@ def move_runs(offset: int, runs: wp.array(dtype=wp.vec3i), run_count: int, quant
     for k in range(2 * run_count):
         run = runs[wp.where(k < run_count, k, 2 * run_count - 1 - k)]
         if (run[0] <= run[1]) == (k < run_count):
-            move_items(last, wp.int64(run[1]) * width, run[2] * wp.int32(width), values, wp.int64(run[0]) * width)
+            copy_items(last, wp.int64(run[1]) * width, run[2] * wp.int32(width), values, wp.int64(run[0]) * width)

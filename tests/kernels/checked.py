@@ -24,16 +24,8 @@ def prefetch(a: wp.array(dtype=Any), i: wp.int64):
 @wp.func
 def copy_items(source: wp.array(dtype=Any), first: wp.int64, count: wp.int32, out: wp.array(dtype=Any), at: Any):
     for k in range(count):
-        out[wp.int64(at) + wp.int64(k)] = source[first + wp.int64(k)]
-
-
-@wp.func
-def move_items(
-    source: wp.array(dtype=wp.float32), first: wp.int64, count: wp.int32, out: wp.array(dtype=wp.float32), at: wp.int64
-):
-    for k in range(count):
-        n = wp.int64(wp.where(at <= first, k, count - 1 - k))
-        out[at + n] = source[first + n]
+        n = wp.int64(wp.where(wp.int64(at) <= first, k, count - 1 - k))  # the parts may overlap
+        out[wp.int64(at) + n] = source[first + n]
 
 
 @wp.func

@@ -36,3 +36,5 @@ def pass_all(
     copy_codes(codes, first, count - 1, wp.uint16(0), codes, row)
     copy_items(pairs, first, count - 1, pairs, row)
     copy_items(entries, first, count - 1, entries, row)
+    copy_items(entries, first, count, entries, wp.int64(1))  # parts overlap
+    copy_items(entries, wp.int64(0), count, entries, first)

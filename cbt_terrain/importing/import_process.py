@@ -11,9 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ..field import store_folder
+from ..field.lands import LANDS
 from ..rasters.raster import ImportSettings
 from ..sandbox.guard import VARIABLES, guard_import
-from ..sandbox.store_job import CHECK_FILE, READING, JobProgress, StoreJob, Tell, serve, wait_for
+from ..sandbox.store_job import CHECK_FILE, FREE_MEMORY, READING, JobProgress, StoreJob, Tell, serve, wait_for
 from .build_store import run_import
 from .earlier_import import finished_import
 from .source_list import files_of, may_name_several, names_several
@@ -46,7 +47,7 @@ class ImportJob(StoreJob):
             store,
             {"settings": dataclasses.asdict(settings), "part": part and [part.step, sorted(part.numbers)]},
             what=f"The import of {settings.name}",
-            fix=CHECK_FILE,
+            fix=FREE_MEMORY if settings.source in LANDS else CHECK_FILE,
             reading=settings.source,
             watched=(JobProgress.message, READING),
             variables=VARIABLES,

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import TerrainError
 from ..field import codes, store_folder
+from ..field.lands import LANDS
 from ..field.lattice import Lattice, lattice_for
 from ..field.store import Draft
 from ..rasters.raster import MOSAIC
@@ -26,7 +27,8 @@ from .drafts import open_draft, work_bytes
 from .height_reader import scaling_of
 from .tile_tasks import TileSource, unit_count
 
-# Remedies for an implausibly large store, of one file and of a mosaic with its gaps.
+# Remedies for an implausibly large store, of a built-in terrain, one file, and a mosaic with its gaps.
+FEWER = ", or import {} with fewer samples (--size)"
 DOUBT = ", or check that the header of {} has its true size"
 COARSER = ", or give a larger step"
 WITHOUT_HOLES = ", or fill gaps instead of cutting them out, which takes little room if they are wide"
@@ -47,7 +49,7 @@ def open_work(wanted: TileWork, source: TileSource) -> Iterator[tuple[Draft, Til
     # A new work needs room on the disk: 4 bytes for a height as float, 2 for a number of steps.
     needed = work_bytes(lattice, 4 if wanted.steps is None else 2) if work is None else None
     settings = source.settings
-    remedy = DOUBT.format(settings.name)
+    remedy = (FEWER if settings.source in LANDS else DOUBT).format(settings.name)
     if source.raster.format == MOSAIC:
         remedy = COARSER + (WITHOUT_HOLES if settings.holes else "")
     with open_draft(path, wanted.folder.name, lattice, needed, doubt=remedy) as draft:

@@ -263,7 +263,10 @@ def test_case_20_a_full_disk(tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(shutil, "disk_usage", lambda _path: shutil._ntuple_diskusage(10**9, 10**9, 10**5))
-        is_kept("needs .* MB in .* MB are free: make room or choose another folder, or check that the header of island")
+        is_kept("MB are free: make room or choose another folder, or import island with fewer samples .--size..$")
+        np.save(tmp_path / "dem.npy", np.zeros((200, 200), np.float32))
+        with pytest.raises(TerrainError, match="or check that the header of .*dem.npy has its true size"):
+            imported(tmp_path, tmp_path / "dem.npy")
     with monkeypatch.context() as patch:
         patch.setattr(stores.os, "posix_fallocate", full)
         is_kept("No space left on device.: make room")

@@ -195,6 +195,14 @@ def test_a_killed_import_is_an_error_that_names_the_signal(previous, long, fork_
     assert len(list(previous.glob("data-*/work.json"))) == 1, "it can be continued"
 
 
+def test_a_killed_import_of_built_in_land_names_no_file(tmp_path, fork_children):
+    job = ImportJob(ImportSettings(source="island", size=4097), tmp_path / "store")
+    os.kill(job._process.pid, signal.SIGKILL)
+    while not job.poll().done:
+        time.sleep(0.01)
+    assert "signal SIGKILL" in job.poll().error.what and job.poll().error.fix == "free some memory and try again"
+
+
 def test_a_child_killed_after_publishing_has_done_its_work(previous, fork_children):
     job = ImportJob(ImportSettings(source="island", size=129), previous)
     job._process.wait()

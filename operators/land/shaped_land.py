@@ -6,6 +6,7 @@ Shaped land is a store in a folder beside the imported store (`folder_beside`). 
 """
 
 import functools
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from ..text.numbers import length_text, plain
 from ..text.translations import phrase
 from . import render_wait
 from .properties import EVERYWHERE
+from .request import land_of
 
 SOURCE, PREVIEW, SHAPED = "Source", "Preview", "Shaped"
 FAILED = "Failed"
@@ -126,6 +128,20 @@ def store_of(obj) -> str:
 def field_of(obj) -> HeightField:
     """Return the height field of `store_of` in the space of a terrain's object. Raises TerrainError."""
     return anchored(session.open_field(store_of(obj)), *anchor_of(obj))
+
+
+def finished_field_of(obj, depsgraph) -> tuple[HeightField, bool]:
+    """Return a height field as `field_of`, but of shaped land that is finished even if no mesh shows it yet.
+
+    Also return whether the land is shaped, or has no stack; otherwise the field has the imported heights. Raises
+    TerrainError without a store.
+    """
+    store, is_final = absolute_path(obj.adaptive_terrain.store), False
+    with suppress(TerrainError):  # an entry is invalid
+        land = land_of(obj, obj.evaluated_get(depsgraph), depsgraph, waits=True)
+        shaped = store if land is None else land.shown
+        store, is_final = shaped or store, bool(shaped)
+    return anchored(session.open_field(store), *anchor_of(obj)), is_final
 
 
 def _shaped_store(request) -> str:

@@ -24,6 +24,7 @@ LOOK = "AgX - Medium High Contrast"
 # Layer presets that suit the built-in lands, and files whose highest ground is too low for snow.
 LAYERS = {"mountains": "alpine", "dunes": "dunes", "canyon": "desert", "island": "island", "archipelago": "island"}
 SNOWLESS, SNOWLESS_M = "hills", 1500.0
+UNSHAPED = ". The view was composed for the unshaped land"
 
 
 class SetUpScene(bpy.types.Operator):
@@ -93,7 +94,7 @@ class SetUpScene(bpy.types.Operator):
         is_first, sun = not was_set_up(scene), find_built(scene, built.SUN)
         if sun is not None and len(sun.users_scene) <= 1:
             _remove(sun)
-        camera = self._place_camera(context, obj)
+        camera, note = self._place_camera(context, obj)
         ahead = camera.matrix_world.to_3x3() @ Vector((0.0, 0.0, -1.0))
         # towards: unit vector to the sun. A new sun is `turn` away from the camera's direction; a user's stays.
         towards = _light(scene, self.elevation, math.atan2(ahead.x, ahead.y) + self.turn)
@@ -106,11 +107,11 @@ class SetUpScene(bpy.types.Operator):
         if is_first:
             _choose_look(scene)
         scene.render.use_lock_interface = True  # a viewport that draws while a render rewrites the mesh would crash
-        self.report({"INFO"}, f"Sun, sky and {camera.name} are set up: press F12 to render")
+        self.report({"INFO"}, f"Sun, sky and {camera.name} are set up: press F12 to render{note}")
         return {"FINISHED"}
 
     def _place_camera(self, context, obj):
-        """Return the scene's camera at the chosen view, with a clip range for the terrain.
+        """Return the scene's camera at the chosen view, with a clip range for the terrain, and a note for the report.
 
         It is the camera of an earlier click, the unchanged one of the start-up file, or a new one, and the viewport
         looks through it. A camera of the user through which the viewport looks stays as it is, except for a clip range
@@ -128,15 +129,16 @@ class SetUpScene(bpy.types.Operator):
         is_users = current is not None and not defaults.is_default_camera(current)
         if self.view == CURRENT and through_camera and is_users and self.viewed is None:
             frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
-            return current
+            return current, ""
         if built_camera is None:
             built_camera = current if defaults.is_default_camera(current) else _add_camera(scene)
             remember_built(scene, built.CAMERA, built_camera)
-        built_camera.data.lens = viewpoint.LENS_MM
+        built_camera.data.lens, note = viewpoint.LENS_MM, ""
         if self.view == CURRENT and self.viewed is not None:
             to_world, built_camera.data.lens = self.viewed
         else:
-            to_world, distance = viewpoint.view_across(obj)
+            to_world, distance, is_final = viewpoint.view_across(obj, context.evaluated_depsgraph_get())
+            note = "" if is_final else UNSHAPED
             if viewport is not None:
                 viewpoint.look_from(viewport[-1], to_world, distance)
         built_camera.matrix_world = to_world
@@ -145,7 +147,7 @@ class SetUpScene(bpy.types.Operator):
         scene.camera = built_camera
         if viewport is not None:
             viewpoint.look_through_camera(*viewport)
-        return built_camera
+        return built_camera, note
 
 
 def _add_camera(scene):

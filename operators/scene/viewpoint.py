@@ -107,15 +107,15 @@ def on_undo_post(scene, _unused=None) -> None:
             region_3d.view_perspective = "PERSP"
 
 
-def view_across(obj) -> tuple[Matrix, float]:
+def view_across(obj, depsgraph) -> tuple[Matrix, float, bool]:
     """Return the matrix to the world of a camera over a terrain in the view with the best composition.
 
     It is over the largest part of the ground, if holes or wide gaps divide it. Also return half the length of that
-    part, metres in the world: the distance of the point about which a viewport turns. Raises TerrainError without a
-    store.
+    part, metres in the world: the distance of the point about which a viewport turns; and whether the ground is the
+    shaped land, if there is a stack. Raises TerrainError without a store.
     """
-    settings, field = obj.adaptive_terrain, shaped_land.field_of(obj)
-    imported = imported_of(settings)
+    field, is_final = shaped_land.finished_field_of(obj, depsgraph)
+    settings, imported = obj.adaptive_terrain, imported_of(obj.adaptive_terrain)
     part, water_level = _ground_of(field, covered_points(imported.covered) if imported is not None else None)
     scale, offset = settings.vertical_scale, settings.vertical_offset
     part = part._replace(heights=part.heights * scale + offset)
@@ -126,7 +126,7 @@ def view_across(obj) -> tuple[Matrix, float]:
     west, south, east, north = field.lattice.rectangle()
     fraction = math.hypot(np.ptp(part.x), np.ptp(part.y)) / math.hypot(east - west, north - south)
     distance = 0.5 * sight.diagonal(sight.box_of(obj)) * fraction
-    return Matrix.Translation(to_world @ Vector(eye)) @ turn, distance
+    return Matrix.Translation(to_world @ Vector(eye)) @ turn, distance, is_final
 
 
 def _ground_of(field: HeightField, covered: np.ndarray | None) -> tuple["PartSamples", float]:

@@ -13,11 +13,14 @@ from adaptive_terrain.cbt_terrain.query.largest_part import PartSamples
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
 from adaptive_terrain.operators.bridge.camera import view_from_camera
 from adaptive_terrain.operators.importing.imported import imported_of
+from adaptive_terrain.operators.land import shaped_land
 from adaptive_terrain.operators.layers.properties import add_default_layers
 from adaptive_terrain.operators.scene import defaults, viewpoint
 from adaptive_terrain.operators.scene.built import CAMERA, SKY, SUN, find_built
 from adaptive_terrain.operators.scene.daylight import SKY_TYPES
+from adaptive_terrain.operators.session import session
 from adaptive_terrain.operators.terrain import sight
+from land_scenes import add
 from mathutils import Matrix
 from mosaic_files import EAST, NORTH, sheet
 from rasterio import Affine
@@ -325,7 +328,7 @@ def test_the_view_across_stands_on_ground(factory, add_terrain, tmp_path, gap):
     run_import(ImportSettings(str(tmp_path / "land.tif"), holes=True), tmp_path / "store")
     terrain = add_terrain()
     terrain.adaptive_terrain.store = str(tmp_path / "store")
-    to_world, distance = viewpoint.view_across(terrain)
+    to_world, distance, _ = viewpoint.view_across(terrain, bpy.context.evaluated_depsgraph_get())
     eye, ahead = np.array(to_world.translation), -np.array(to_world.col[2].xyz)
     along = eye[:2] + np.linspace(0.0, 300.0, 31)[:, None] * ahead[:2]  # metres from the eye
     at = np.rint(along / 10.0 + 200.0).astype(int)
@@ -345,12 +348,39 @@ def test_the_view_across_stands_on_a_file_of_a_mosaic(factory, add_terrain, tmp_
     run_mosaic_import(ImportSettings(str(tmp_path / "files"), quick=quick), tmp_path / "store")
     terrain = add_terrain()
     terrain.adaptive_terrain.store = str(tmp_path / "store")
-    to_world, _ = viewpoint.view_across(terrain)
+    to_world, *_ = viewpoint.view_across(terrain, bpy.context.evaluated_depsgraph_get())
     eye, ahead = np.array(to_world.translation), -np.array(to_world.col[2].xyz)
     for metres in (0.0, 150.0):
         # The files' diagonal goes from the north-west to the south-east; it is 500 m wide along both axes.
         assert abs(eye[0] + eye[1] + metres * (ahead[0] + ahead[1])) < 500.0
     assert imported_of(terrain.adaptive_terrain).raster == ((30, 30) if quick else (450, 450))
+
+
+def test_the_view_across_is_over_the_shaped_land(terrain, capfd, monkeypatch):
+    source, note, fields = terrain.adaptive_terrain.store, "The view was composed for the unshaped land", []
+    ground_of = viewpoint._ground_of
+    monkeypatch.setattr(viewpoint, "_ground_of", lambda field, *more: fields.append(field) or ground_of(field, *more))
+
+    def set_up() -> str:
+        """Return the report of Set Up Scene."""
+        capfd.readouterr()
+        assert SET_UP.set_up_scene(view="ACROSS") == {"FINISHED"}
+        return capfd.readouterr().out
+
+    assert note not in set_up(), "there is no stack"
+    add("scree", scree_angle=0.4)
+    session.clear()
+    assert note in set_up(), "it was never updated"
+    session.update_object(terrain)
+    assert note in set_up(), "a preview is shown"
+    assert bpy.ops.adaptive_terrain.shape() == {"FINISHED"}
+    shaped = shaped_land.store_of(terrain)
+    session.clear()
+    assert shaped_land.store_of(terrain) == source != shaped, "no update has shown the shaped land"
+    assert note not in set_up()
+    assert [str(field.path) for field in fields] == [source, source, source, shaped]
+    terrain.adaptive_terrain.land.entries[0].on = False
+    assert note not in set_up() and str(fields[-1].path) == source
 
 
 def test_the_viewport_looks_through_a_new_camera(factory, add_terrain, monkeypatch):

@@ -59,8 +59,10 @@ def path_fault(subject: str, path: str | os.PathLike) -> TerrainError | None:
     Args:
         subject: start of the error's clause: "The store a/b".
     """
-    text = os.fspath(path)
     expected = "the name of a file or folder"
+    if not isinstance(path, str | os.PathLike):
+        return TerrainError(f"{subject} is of the type {type(path).__name__}", expected=expected)
+    text = os.fspath(path)
     if "\0" in text:
         return TerrainError(f"{subject} holds a NUL character", expected=expected)
     try:
@@ -90,6 +92,21 @@ def check_path(what: str, path: str | os.PathLike) -> None:
     error = path_fault(f"{what} {shown(path)}", path)
     if error is not None:
         raise error
+
+
+def check_kind(value: object, kind: type | tuple[type, ...], name: str, expected: str) -> None:
+    """Raise TerrainError unless `value` is an instance of `kind`.
+
+    name: subject of the error, as "The criterion". expected: noun for such values, in the error.
+    """
+    if not isinstance(value, kind):
+        raise TerrainError(f"{name} is {shown(repr(value))}", expected=expected)
+
+
+def check_function(value: object, name: str) -> None:
+    """Raise TerrainError unless `value` can be called. name: of the argument."""
+    if not callable(value):
+        raise TerrainError(f"The argument {name} is {shown(repr(value))}", expected="a function", fix="leave it out")
 
 
 def check_number(name: str, value: float, low: float, high: float, unit: str) -> None:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Conversion of a caller's numbers to Python's types.
+"""Conversion of a caller's numbers, and of what holds them, to Python's types.
 
 So keys, digests and JSON are the same for 50, 50.0 and numpy's float32(50).
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from numbers import Integral, Real
 from types import NoneType
 from typing import Any, get_args, get_origin
@@ -13,7 +13,7 @@ from typing import Any, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import TerrainError, shown
+from .errors import TerrainError, check_kind, shown
 
 EXPECTED = {bool: "True or False", int: "a whole number", float: "a number"}
 
@@ -75,6 +75,32 @@ def keep_plain_numbers(settings: Any, owner: str) -> None:
         object.__setattr__(settings, field.name, value)
 
 
+def plain_sequence(values: Any, kind: type, name: str, expected: str) -> tuple:
+    """Return a sequence of `kind`, or an iterator of them, as a tuple. Raises TerrainError for others, as a text.
+
+    name: subject of the errors, as "The scatter's layers". expected: noun for the parts, as "Layer objects".
+    """
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
+        raise TerrainError(f"{name} is {shown(repr(values))}", expected=f"a list of {expected}")
+    parts = tuple(values)
+    for part in parts:
+        check_kind(part, kind, f"One of {name[0].lower()}{name[1:]}", expected)
+    return parts
+
+
+def matrix(values: ArrayLike, name: str) -> np.ndarray:
+    """Return a 4 x 4 matrix as a new float64 array; numbers need not be finite. Raises TerrainError for others.
+
+    name: the matrix's name in the error, as "placement".
+    """
+    checked = rows(values, 4, f"rows of the {name}")
+    if len(checked) != 4:
+        raise TerrainError(
+            f"The rows of the {name} came as an array of the shape {checked.shape}", expected="4 x 4 numbers"
+        )
+    return checked.copy()
+
+
 def vertical(scale: float, offset: float) -> tuple[float, float]:
     """Return a vertical scale and an offset in metres as floats. Raises TerrainError unless both are numbers."""
     return plain_number(scale, float, "The vertical scale"), plain_number(offset, float, "The vertical offset")
@@ -104,8 +130,8 @@ def rows(values: ArrayLike, width: int, name: str) -> np.ndarray:
     """
     try:
         array = np.asarray(list(values) if isinstance(values, Iterator) else values)
-        if array.dtype.kind == "c":
-            raise TypeError  # a conversion would drop the imaginary parts
+        if array.dtype.kind in "cUS":
+            raise TypeError  # a conversion would drop imaginary parts, and read texts
         array = np.ascontiguousarray(array, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise TerrainError(f"The {name} are no numbers", expected=f"[n, {width}] metres") from None

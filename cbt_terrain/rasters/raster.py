@@ -2,6 +2,7 @@
 """Settings of an import, and the raster that it reads by rows."""
 
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -9,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import TerrainError, shown
+from ..errors import TerrainError, check_kind, shown
 from ..field import island
 from ..field.georeference import LARGEST_EXTENT, SMALLEST_EXTENT, Georeference
 from ..field.lands import LANDS
-from ..plain_numbers import keep_plain_numbers
+from ..plain_numbers import keep_plain_numbers, plain_number, plain_sequence
 from .file_grid import FileGrid
 from .rounding import SourceRounding
 from .source_formats import BAND, suffixes_with
@@ -25,7 +26,13 @@ ENCODINGS = ("", "terrarium", "mapbox", "plain")  # coded_heights.py
 ORDER, RESOLUTION, NEWEST = "order", "resolution", "newest"
 PRIORITIES = (ORDER, RESOLUTION, NEWEST)
 MOSAIC = "mosaic"  # format of a raster of several files
+_TEXTS, _PATH = ("raw_dtype", "channel", "project", "encoding", "priority"), (str, os.PathLike)
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "float16", "float32", "float64")
+
+
+def _path_text(path: str | os.PathLike) -> str:
+    """Return a path as Python's own text, also one of numpy."""
+    return str(os.fspath(path))
 
 
 @dataclass(frozen=True)
@@ -92,14 +99,21 @@ class ImportSettings:
     loaded_finer: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        """Convert numbers to plain ones and sequences to tuples.
+        """Convert numbers to plain ones, paths to texts and sequences to tuples.
 
         Raises TerrainError for a value of another type. `check` refuses numbers that are not finite or out of range.
         """
         keep_plain_numbers(self, "The import's")
-        object.__setattr__(self, "more_sources", tuple(self.more_sources))
-        object.__setattr__(self, "loaded_tiles", tuple(self.loaded_tiles))
-        object.__setattr__(self, "loaded_finer", tuple(self.loaded_finer))
+        for name in _TEXTS:
+            check_kind(getattr(self, name), str, f"The import's {name}", "a text")
+        check_kind(self.source, _PATH, "The import's source", "the path of a height map")
+        more = plain_sequence(self.more_sources, _PATH, "The import's more_sources", "paths of height maps")
+        values: dict[str, object] = {"source": _path_text(self.source), "more_sources": tuple(map(_path_text, more))}
+        for name in ("loaded_tiles", "loaded_finer"):
+            numbers = plain_sequence(getattr(self, name), object, f"The import's {name}", "whole numbers")
+            values[name] = tuple(plain_number(n, int, f"One of the import's {name}") for n in numbers)
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
 
     @property
     def sources(self) -> tuple[str, ...]:

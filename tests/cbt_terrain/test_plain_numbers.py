@@ -4,6 +4,7 @@
 import dataclasses
 import json
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -136,6 +137,14 @@ def test_functions_take_numbers_of_any_type(number):
         (lambda: Terrain(field(), 1).update(Criterion(), None), "The views have None among them; expected View"),
         (lambda: scatter_points(field(), Scatter(), ["a"]), "The views have 'a' among them; expected View"),
         (lambda: Terrain(field(), "2"), "The number of threads is '2'; expected a whole number."),
+        (lambda: ImportSettings(None), "The import's source is None; expected the path of a height map."),
+        (lambda: ImportSettings(["a.tif", "b.tif"]), "The import's source is .'a.tif', 'b.tif'.; expected the path of"),
+        (lambda: ImportSettings("a.tif", more_sources="b.tif"), "more_sources is 'b.tif'; expected a list of paths"),
+        (lambda: ImportSettings("a.tif", more_sources=Path("b")), "more_sources is .*Path.*; expected a list of paths"),
+        (lambda: ImportSettings("a.tif", more_sources=[3]), "One of the import's more_sources is 3; expected paths"),
+        (lambda: ImportSettings("a.tif", project=32632), "The import's project is 32632; expected a text."),
+        (lambda: ImportSettings("a.tif", loaded_tiles=5), "loaded_tiles is 5; expected a list of whole numbers."),
+        (lambda: ImportSettings("a.tif", loaded_tiles=[1.5]), "loaded_tiles is 1.5; expected a whole number."),
     ],
 )
 def test_other_values_are_refused_in_one_sentence(make, message):
@@ -162,6 +171,12 @@ def test_views_and_positions_come_from_generators():
     scatter = Scatter(spacing=3.0, full_until=0.0)
     seen = scatter_points(heights, scatter, [VIEW])
     assert 0 < len(seen) == len(scatter_points(heights, scatter, iter([VIEW])))
+
+
+def test_paths_and_lists_of_sources_are_taken():
+    given = ImportSettings(Path("a.tif"), more_sources=[Path("b.tif"), np.str_("c.tif")], loaded_tiles=np.arange(3))
+    assert repr(given) == repr(ImportSettings("a.tif", more_sources=("b.tif", "c.tif"), loaded_tiles=(0, 1, 2)))
+    assert json.loads(json.dumps(dataclasses.asdict(given)))["more_sources"] == ["b.tif", "c.tif"]
 
 
 def test_large_whole_numbers_keep_their_digits():

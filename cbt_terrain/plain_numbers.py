@@ -75,7 +75,7 @@ def keep_plain_numbers(settings: Any, owner: str) -> None:
         object.__setattr__(settings, field.name, value)
 
 
-def plain_sequence(values: Any, kind: type, name: str, expected: str) -> tuple:
+def plain_sequence(values: Any, kind: type | tuple[type, ...], name: str, expected: str) -> tuple:
     """Return a sequence of `kind`, or an iterator of them, as a tuple. Raises TerrainError for others, as a text.
 
     name: subject of the errors, as "The scatter's layers". expected: noun for the parts, as "Layer objects".

@@ -9,10 +9,10 @@ import numpy as np
 
 from ..kernels.field.domain import Domain
 from ..kernels.refine.pixels import CriterionArrays
-from .errors import TerrainError
+from .errors import TerrainError, check_kind
 from .field.depths import depth_in_plane, depth_limit, plane_limit, usual_depth
 from .field.domain import box_of
-from .field.heightfield import HeightField
+from .field.heightfield import HeightField, check_field
 from .history.frame import Leaves
 from .history.frame_history import FrameHistory
 from .leb.location import locate
@@ -21,7 +21,7 @@ from .mesh.geomorph import Geomorph
 from .mesh.pieces import Pieces, middles
 from .mesh.surface import Surface
 from .mesh.welding import TornMesh
-from .plain_numbers import plain_number, rows, vertical
+from .plain_numbers import matrix, plain_number, rows, vertical
 from .refine.contract import Outcome, bounds_of
 from .refine.horizon import RAMP, horizon_of, place_rings
 from .refine.refinement import MAX_TRIANGLES, refine, replay
@@ -108,10 +108,11 @@ class Terrain:
 
     def __init__(self, field: HeightField, threads: int | None = None, whole: bool = False) -> None:
         """Make a terrain without a mesh. threads: None for all cores. whole: the raster's border cuts no triangle."""
+        check_field(field)
         self.field = field
         self.threads = launch.checked_threads(threads)
         self.history = FrameHistory()
-        self._whole = whole
+        self._whole = plain_number(whole, bool, "The argument whole")
         self._placed: tuple[_Shape, Domain] | None = None  # the last placed domain, with its shape
 
     def __repr__(self) -> str:
@@ -151,7 +152,8 @@ class Terrain:
         TerrainError and leaves the last mesh as it is if a number cannot be used. An error while the mesh is built, for
         example of a damaged field, leaves the terrain without a mesh.
         """
-        placement = np.eye(4) if placement is None else np.array(placement, np.float64)
+        check_kind(criterion, Criterion, "The criterion", "a Criterion, as Criterion(error_px=1)")
+        placement = np.eye(4) if placement is None else matrix(placement, "placement")
         scaling = vertical(vertical_scale, vertical_offset)
         request = UpdateRequest(criterion, listed_views(views), placement, *scaling)
         return self._make_once(request.key(), lambda: self._update(request))

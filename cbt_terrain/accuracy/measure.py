@@ -17,9 +17,10 @@ import warp as wp
 
 from ...kernels.accuracy import normals as normal_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..errors import TerrainError
+from ..errors import TerrainError, check_function, check_kind, check_number, check_seed
 from ..field.heightfield import HeightField
 from ..mesh.surface import Surface
+from ..plain_numbers import plain_number
 from ..run.buffers import shared
 from ..run.launch import checked_threads
 from ..view.linear import lengths
@@ -27,6 +28,8 @@ from ..view.view import View, listed_views
 from .mesh import Errors, MeasuredMesh, MeshGround, Progress, errors_of, ignore_progress
 from .outline import silhouette
 from .screen import Sight
+
+MAX_POINTS = 1 << 28  # at random: 24 GB
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,12 @@ def measure(
     an exception that it raises ends the measurement. Raises TerrainError where the mesh does not cover the terrain, for
     another `sight`, and for a view or placement that cannot be inverted.
     """
+    random_points = plain_number(random_points, int, "The number of random points")
+    check_number("The number of random points", random_points, 0, MAX_POINTS, "points")
+    seed = plain_number(seed, int, "The seed")
+    check_seed("The seed", seed)
+    check_kind(sight, (Sight, type(None)), "The sight", "one that `look` returns, or None")
+    check_function(on_progress, "on_progress")
     if view is None:
         sight = None
     else:

@@ -18,8 +18,9 @@ from ...kernels.accuracy import grid as grid_kernels
 from ...kernels.accuracy import points as point_kernels
 from ..errors import TerrainError
 from ..field import codes, displacement_layers
-from ..field.heightfield import PLANE_BITS, HeightField
-from ..mesh.surface import Surface
+from ..field.heightfield import PLANE_BITS, HeightField, check_field
+from ..mesh.surface import Surface, check_surface
+from ..plain_numbers import vertical
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import add_up, lengths
@@ -96,9 +97,10 @@ class MeshGround:
 
         threads: their number for the launches of the measurement.
         """
+        check_field(field)
         lattice = field.lattice
         self.field, self.threads = field, threads
-        self.scale, self.offset = float(vertical_scale), float(vertical_offset)
+        self.scale, self.offset = vertical(vertical_scale, vertical_offset)
         self.key = (field.key, self.scale, self.offset)
         # Coordinates of the finest mesh that a terrain may have, which needs PLANE_BITS bits for the whole raster.
         self.bits = PLANE_BITS - lattice.side_bits - lattice.levels
@@ -140,6 +142,7 @@ class MeasuredMesh:
 
     def __init__(self, ground: MeshGround, surface: Surface) -> None:
         """Pack a surface for kernels. Raises TerrainError for an empty mesh or one that is not finite."""
+        check_surface(surface)
         self.ground, self.triangles = ground, len(surface.corner_verts) // 3
         if not len(surface.positions) or not np.isfinite(surface.positions).all():
             raise TerrainError("The mesh has no vertices or positions that are not finite", expected="a finite mesh")

@@ -23,8 +23,9 @@ import warp as wp
 
 from ...kernels.accuracy import rays as ray_kernels
 from ...kernels.accuracy import screen as screen_kernels
-from ..errors import TerrainError
+from ..errors import TerrainError, check_kind
 from ..field.blocks import concatenate_levels, halvings, over_cells
+from ..plain_numbers import matrix
 from ..run import launch
 from ..run.buffers import shared
 from ..view.linear import inverse, length, lengths, product
@@ -137,7 +138,8 @@ class Sight:
 
     def __init__(self, ground: MeshGround, view: View, placement: np.ndarray | None) -> None:
         """Prepare measurements in the pixels of a view; `placement`: terrain to world, None for identity."""
-        placement = np.eye(4) if placement is None else np.asarray(placement, np.float64)
+        check_kind(view, View, "The view", "a View or None")
+        placement = np.eye(4) if placement is None else matrix(placement, "placement")
         self.key = (ground.key, view.key(), placement.tobytes())
         self.ground, self.eye = ground, pack_eye(view, placement, ground)
         self.columns, self.rows = pixel_grid(view)

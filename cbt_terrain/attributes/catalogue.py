@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The list of all attributes. A new one is a file in this folder and an entry in this list, or is registered."""
 
-from ..errors import TerrainError, check_free_name
+from ..errors import TerrainError, check_free_name, check_kind
 from . import color, flow, jet, layers, occlusion, sky, splat, sun, wetness
 from .attribute import AttributeDeclaration
 
@@ -29,6 +29,7 @@ def register_attribute(attribute: AttributeDeclaration) -> None:
     Raises:
         TerrainError: the name is taken or is no identifier, or an attribute that it reads is not registered.
     """
+    check_kind(attribute, AttributeDeclaration, "The attribute", "an AttributeDeclaration")
     check_free_name("attribute", attribute.name, ATTRIBUTES)
     unknown = [name for name in attribute.reads if name not in ATTRIBUTES]
     if unknown:

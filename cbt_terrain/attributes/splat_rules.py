@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, check_kind
 from ..field.painted import Painted
-from ..plain_numbers import keep_plain_numbers
+from ..plain_numbers import keep_plain_numbers, plain_sequence
 from .attribute import Parameter
 from .layers import NAMES as LAYER_NAMES
 
@@ -59,6 +59,8 @@ class Rule:
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "A splat rule's")
+        check_kind(self.of, str, "A splat rule's of", "the name of a quantity")
+        check_kind(self.image, (Painted, type(None)), "A splat rule's image", "one of image_rule, or None")
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,8 @@ class Layer:
 
     def __post_init__(self) -> None:
         keep_plain_numbers(self, "A splat layer's")
+        check_kind(self.name, str, "A splat layer's name", "a text")
+        object.__setattr__(self, "rules", plain_sequence(self.rules, Rule, "A splat layer's rules", "Rule objects"))
 
 
 # Default layers: grass, scree and rock by slope, snow above two thirds of the relief.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import TerrainError
+from ..errors import TerrainError, check_kind
 from ..run.locks import caching
 from . import codes
 from .detail_bounds import DetailTerm, highest
@@ -298,3 +298,8 @@ def with_detail(field: HeightField, detail: Ground | None) -> HeightField:
         for spec in [spec for spec in surfaces if spec.detail][:-MAX_DETAILED]:
             del surfaces[spec]
         return surface
+
+
+def check_field(field: object) -> None:
+    """Raise TerrainError unless a caller's height field is one, as for the path of a store."""
+    check_kind(field, HeightField, "The height field", "one that open_store returns")

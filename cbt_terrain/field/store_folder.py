@@ -47,8 +47,8 @@ def check_target(path: str | os.PathLike) -> None:
     Folders of arrays of this program do no harm, nor do any files in the folder of a store that height operators have
     made from another one (`is_land`).
     """
-    folder = Path(path)
     check_path("The store", path)
+    folder = Path(path)
     if not os.fspath(path) or not folder.parts:
         raise TerrainError(f"The store's path {os.fspath(path)!r} names no folder", expected="the name of a folder")
     try:

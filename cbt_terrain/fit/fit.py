@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from ..errors import TerrainError
-from ..field.heightfield import HeightField
-from ..plain_numbers import vertical
+from ..errors import TerrainError, check_function
+from ..field.heightfield import HeightField, check_field
+from ..plain_numbers import plain_number, vertical
 from ..refine.refinement import MAX_TRIANGLES
 from ..run import launch
 from ..terrain import Terrain, Update
@@ -59,6 +59,8 @@ def fit(
     and may raise, which cancels. If the error could not be kept, the result's `limited` has the reason, else "". Raises
     TerrainError if a number cannot be used, and for bicubic surfaces, a detail or holes.
     """
+    check_field(field)
+    check_function(on_progress, "on_progress")
     check_interpolation(field.interpolation)
     if field.valid is not None:  # it would fit what fills them
         raise TerrainError(
@@ -137,7 +139,7 @@ def bake(
     vertical_scale + vertical_offset` metres. Raises TerrainError if a number cannot be used, and for a fit as `fit`.
     """
     heights: dict[str, Any] = {"vertical_scale": vertical_scale, "vertical_offset": vertical_offset}
-    if fitted:
+    if plain_number(fitted, bool, "The argument fitted"):
         limits: dict[str, Any] = {"max_triangles": max_triangles, "threads": threads, "on_progress": on_progress}
         return fit(field, error_m, **limits, **heights)
     criterion = Criterion(error_px=0.0, error_m=error_m, max_triangles=max_triangles, meshlet=meshlet)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The list of all height operators. A new one is a file in this folder and an entry in this list, or is registered."""
 
-from ..errors import check_free_name
+from ..errors import check_free_name, check_kind
 from .droplets import DROPLETS
 from .flood import FLOOD
 from .height_operator import HeightOperator
@@ -38,6 +38,7 @@ def register_height_operator(operator: HeightOperator) -> None:
     Raises:
         TerrainError: the name is taken or is no identifier.
     """
+    check_kind(operator, HeightOperator, "The height operator", "a HeightOperator")
     check_free_name("height operator", operator.name, {*HEIGHT_OPERATORS, *RENAMED})
     HEIGHT_OPERATORS[operator.name] = operator
 

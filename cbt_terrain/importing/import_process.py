@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from ..errors import check_function, check_kind
 from ..field import store_folder
 from ..field.lands import LANDS
 from ..rasters.raster import ImportSettings
@@ -73,7 +74,12 @@ def import_source(
 
     Raises TerrainError, and leaves the store as it was before.
     """
-    settings = source if isinstance(source, ImportSettings) else ImportSettings(os.fspath(source))
+    check_kind(part, (ImportPart, type(None)), "The part", "an ImportPart or None")
+    check_function(on_progress, "on_progress")
+    check_function(on_preview, "on_preview")
+    if not isinstance(source, ImportSettings):
+        source = ImportSettings(os.fspath(source) if isinstance(source, os.PathLike) else source)
+    settings = source
     return wait_for(lambda: ImportJob(settings, store, part), on_progress, on_preview)
 
 

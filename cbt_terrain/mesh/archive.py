@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TerrainError, shown
+from ..errors import TerrainError, check_kind, check_path, shown
+from ..plain_numbers import rows
 from ..run.named_file import open_regular
 from ..run.partial_files import written_beside
-from .surface import Surface
+from .surface import Surface, check_surface
 
 # The earliest date that a zip can hold: the bytes do not depend on the time.
 FIXED_DATE = (1980, 1, 1, 0, 0, 0)
@@ -39,10 +40,17 @@ def write_npz(
     of another entry, for a number that is not finite, and for a value of `info` that JSON cannot hold; and OSError if
     the file cannot be written.
     """
+    check_path("The file", path)
+    check_surface(surface)
+    check_kind(info, Mapping, "The info of the file", "a dict")
+    check_kind(tree, bytes, "The saved tree", "bytes, as Terrain.saved returns them")
+    places = rows(origin, 3, "origin")
+    if len(places) != 1:
+        raise TerrainError(f"The origin came as {len(places)} points", expected="x, y and z in metres")
     about = {name: {"domain": a.domain, "unit": a.unit} for name, a in surface.attributes.items()}
     entries = {
         "positions": surface.positions,
-        "origin": np.asarray(origin, np.float64),
+        "origin": places[0],
         "triangles": surface.triangles,
         "edges": surface.edges,
         "tree": np.frombuffer(tree, np.uint8),
@@ -88,6 +96,7 @@ def finite_json(content: Mapping, where: str, **options: Any) -> str:
 
 def read_npz(path: str | os.PathLike) -> dict:
     """Return the entries of a file of `write_npz`, with `info` as a dict. Raises TerrainError for any other file."""
+    check_path("The file", path)
     path = Path(path)
     try:
         with open_regular(path, links=True) as file, zipfile.ZipFile(file) as archive:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import check_kind
 from .attributes import CORNER, EDGE, FACE, LEVEL, NORMALS, POINT, UV, Attribute
 
 
@@ -74,3 +75,8 @@ class Surface:
 
     def __repr__(self) -> str:
         return f"<Surface: {len(self.triangles):,} triangles, {len(self.positions):,} vertices>"
+
+
+def check_surface(surface: object) -> None:
+    """Raise TerrainError unless a caller's surface is one, as for an `Update`."""
+    check_kind(surface, Surface, "The surface", "a Surface, as the `surface` of an update")

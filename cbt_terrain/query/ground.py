@@ -9,7 +9,7 @@ import warp as wp
 
 from ...kernels.query import ground as kernels
 from ..errors import TerrainError
-from ..field.heightfield import HeightField
+from ..field.heightfield import HeightField, check_field
 from ..plain_numbers import plain_number, vectors
 from ..run import launch
 from ..run.buffers import shared
@@ -84,6 +84,7 @@ def profile(
     of these a bilinear surface is a parabola. With a spacing, they are every `spacing` metres from its beginning, and
     at its end; other points of `line` are then left out. Some points may come twice.
     """
+    check_field(field)
     line = vectors(line, 2, "points of the line")
     if len(line) < 2:
         raise TerrainError(f"The line has {len(line)} points", expected="2 at least")

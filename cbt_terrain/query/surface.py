@@ -9,7 +9,7 @@ from ...kernels.query import rays as ray_kernels
 from ...kernels.query import surface as kernels
 from ..field import codes, displacement_layers
 from ..field.domain import box_of
-from ..field.heightfield import PLANE_BITS, HeightField
+from ..field.heightfield import PLANE_BITS, HeightField, check_field
 from ..field.shared_pages import pack_pages
 from ..plain_numbers import vertical
 from ..run.buffers import flat, shared
@@ -29,6 +29,7 @@ def pack_surface(field: HeightField, vertical_scale: float, vertical_offset: flo
 
     Memory is shared, nothing is read. Raises TerrainError for a scale that a mesh cannot have.
     """
+    check_field(field)
     vertical_scale, vertical_offset = vertical(vertical_scale, vertical_offset)
     box_of(field, vertical_scale, vertical_offset)  # refuses numbers that cannot be used
     lattice, surface = field.lattice, kernels.QueriedSurface()

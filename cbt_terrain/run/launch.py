@@ -189,7 +189,8 @@ def spread(
     with timed(step):
         _load(kernel)
         # Launches at the same time: each with at least SLICE_ITEMS lookups of work, which outweighs its start.
-        at_once = max(1, min(int(threads or default_threads()), int(count * cost / SLICE_ITEMS)))
+        threads = threads if type(threads) is int else checked_threads(threads)
+        at_once = max(1, min(threads or default_threads(), int(count * cost / SLICE_ITEMS)))
         # All launches; more than `at_once` only if a launch cannot hold its part of the items.
         pieces = max(at_once, -(-count // MAX_LAUNCH))
 

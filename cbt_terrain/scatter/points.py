@@ -17,10 +17,11 @@ from ...kernels.refine.local_view import LocalView
 from ...kernels.refine.pixels import CriterionArrays
 from ...kernels.scatter import points as kernels
 from ...kernels.scatter.seen import Views
-from ..errors import TerrainError
-from ..field.heightfield import HeightField
+from ..errors import TerrainError, check_kind
+from ..field.heightfield import HeightField, check_field
 from ..history.frame_history import FrameHistory
 from ..mesh.surface import Surface
+from ..plain_numbers import matrix
 from ..run import launch
 from ..run.buffers import flat
 from ..terrain import Terrain
@@ -75,6 +76,8 @@ def scatter_points(
 
     placed: further fields of ScatterRequest, as `placement`.
     """
+    check_field(field)
+    check_kind(scatter, Scatter, "The scatter", "a Scatter, as Scatter(spacing=10)")
     return place_points(field, ScatterRequest(scatter, views, **placed), FrameHistory(), threads)
 
 
@@ -135,7 +138,7 @@ def _pack_views(request: ScatterRequest, views: list[View], ground: ScatterGroun
     They have the horizon that hides points, too, and the square of the distance in metres up to which density is full.
     """
     scatter, horizon, packed, local = request.scatter, request.horizon, Views(), []
-    placement = np.eye(4) if request.placement is None else np.asarray(request.placement, np.float64)
+    placement = np.eye(4) if request.placement is None else matrix(request.placement, "placement")
     criterion, margins = Criterion(), (scatter.margin_deg, scatter.margin_deg)
     for view in views:
         # any criterion and scale: they change footprints, which scatters do not read

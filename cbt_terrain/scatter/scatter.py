@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from ..attributes.attribute import GEOMETRY, AttributeRequest
 from ..attributes.splat import NAMES
 from ..attributes.splat_rules import Layer, check_layers
-from ..errors import TerrainError, check_number, check_seed
-from ..plain_numbers import keep_plain_numbers
+from ..errors import TerrainError, check_kind, check_number, check_seed
+from ..plain_numbers import keep_plain_numbers, plain_sequence
 
 ANYWHERE = Layer("Anywhere")
 LARGEST = 1e9
@@ -52,6 +52,8 @@ class Scatter:
     def __post_init__(self) -> None:
         """Convert numbers to plain ones. Raise TerrainError for a value out of range."""
         keep_plain_numbers(self, "The scatter's")
+        check_kind(self.where, Layer, "The scatter's where", "a Layer")
+        object.__setattr__(self, "layers", plain_sequence(self.layers, Layer, "The scatter's layers", "Layer objects"))
         for name, low, high, unit in (
             ("spacing", 1e-4, LARGEST, "metres"),
             ("full_until", 0.0, LARGEST, "metres, 0 for full density everywhere"),

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 
 from ...kernels.tree.bitfield import MAX_DEPTH
-from ..errors import TerrainError
+from ..errors import TerrainError, check_kind
 
 MIN_DEPTH = 6
 
@@ -26,6 +26,7 @@ def depths_from_bytes(data: bytes) -> tuple[int, np.ndarray]:
 
     Raises TerrainError for other bytes, before any large allocation.
     """
+    check_kind(data, bytes, "The saved tree", "bytes, as Terrain.saved returns them")
     what, fix = f"The saved tree of {len(data)} bytes", "save it again"
     if len(data) < _HEADER.size + 4 or data[:4] != _MAGIC:
         raise TerrainError(f"{what} was not written by this add-on", fix=fix)

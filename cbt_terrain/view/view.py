@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import TerrainError, shown
-from ..plain_numbers import keep_plain_numbers, plain_number, vectors
+from ..errors import TerrainError, check_kind, shown
+from ..plain_numbers import keep_plain_numbers, matrix, plain_number, vectors
 from .linear import length, product, round_last_bits
 
 PERSPECTIVE, ORTHOGRAPHIC, PANORAMIC = "PERSPECTIVE", "ORTHOGRAPHIC", "PANORAMIC"
@@ -36,13 +36,13 @@ class View:
 
     def __post_init__(self) -> None:
         """Convert the matrices to float64 and check all numbers. Raises TerrainError."""
-        matrix = np.array(self.world_to_camera, np.float64)
-        object.__setattr__(self, "world_to_camera", matrix)
+        object.__setattr__(self, "world_to_camera", matrix(self.world_to_camera, "camera's matrix"))
         if self.projection is not None:
-            object.__setattr__(self, "projection", np.array(self.projection, np.float64))
+            object.__setattr__(self, "projection", matrix(self.projection, "camera's projection"))
+        check_kind(self.kind, str, "The camera's kind", f"one of {', '.join(KINDS)}")
         if self.kind not in KINDS:
             raise TerrainError(f"The camera's kind is {self.kind!r}", expected=f"one of {', '.join(KINDS)}")
-        if self.world_to_camera.shape != (4, 4) or not np.isfinite(self.world_to_camera).all():
+        if not np.isfinite(self.world_to_camera).all():
             raise TerrainError(
                 "The camera's matrix has a value that is not finite", fix="check its location and its parents"
             )
@@ -52,7 +52,7 @@ class View:
             if not 0 < self.radians_per_pixel < math.inf:
                 raise TerrainError(f"A panorama has {self.radians_per_pixel} radians a pixel", expected="more than 0")
             return
-        if self.projection is None or self.projection.shape != (4, 4) or not np.isfinite(self.projection).all():
+        if self.projection is None or not np.isfinite(self.projection).all():
             raise TerrainError("The camera's projection is not finite", fix="check its lens, sensor, scale and shift")
         if self.projection[0, 0] == 0 or self.projection[1, 1] == 0:
             raise TerrainError("The camera's projection sees 180 degrees or nothing", fix="check its lens and sensor")
@@ -121,6 +121,7 @@ class View:
         Raises:
             TerrainError: for a number that no camera has.
         """
+        check_kind(kind, str, "The camera's kind", f"one of {', '.join(KINDS)}")
         width, height = resolution = _check_resolution(resolution)
         fov_deg, roll_deg = plain_number(fov_deg, float, "The field of view"), plain_number(roll_deg, float, "The roll")
         ortho_width = plain_number(ortho_width, float, "The width of the orthographic view")
@@ -143,11 +144,11 @@ class View:
         turn = math.radians(roll_deg)
         cosine, sine = round_last_bits(math.cos(turn)), round_last_bits(math.sin(turn))
         right, up = cosine * right + sine * up, cosine * up - sine * right
-        matrix = np.eye(4)
-        matrix[:3, :3] = right, up, back
-        matrix[:3, 3] = -product(matrix[:3, :3], eye)
+        to_camera = np.eye(4)
+        to_camera[:3, :3] = right, up, back
+        to_camera[:3, 3] = -product(to_camera[:3, :3], eye)
         if kind == PANORAMIC:
-            return cls(matrix, None, resolution, kind, clip, radians_per_pixel=math.radians(fov_deg) / width)
+            return cls(to_camera, None, resolution, kind, clip, radians_per_pixel=math.radians(fov_deg) / width)
         projection = np.zeros((4, 4))
         larger = max(width, height)
         if start == end:
@@ -159,7 +160,7 @@ class View:
         else:
             projection[0, 0], projection[1, 1] = 2 / ortho_width * larger / width, 2 / ortho_width * larger / height
             projection[2, 2:], projection[3, 3] = (2 / (start - end), (start + end) / (start - end)), 1.0
-        return cls(matrix, projection, resolution, kind, clip)
+        return cls(to_camera, projection, resolution, kind, clip)
 
 
 def listed_views(views: "Iterable[View] | View") -> list[View]:

@@ -2,16 +2,17 @@
 """Flow: the drainage area of a point, from one result for the whole raster."""
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
-from ..field.derived_arrays import samples_by_level
+from ..field.derived_arrays import samples_by_level, scratch_array
 from ..field.heightfield import HeightField, HeightRaster
 from ..field.lattice import fit
 from ..run import launch
 from ..run.buffers import flat, shared
 from .attribute import AttributeDeclaration, Evaluate, SamplePoints, Wanted
-from .pyramid import holes_of_level, level_of, level_with, scaled_pyramid
+from .pyramid import level_of, level_with, missing_of_level, scaled_pyramid
 from .whole import whole
 
 VERSION = 1
@@ -38,19 +39,20 @@ def logarithms(field: HeightField, vertical_scale: float, threads: int) -> Heigh
     # Slopes are only compared with each other, so that only the sign of their scale matters.
     sign = float(np.sign(vertical_scale))
     steps = lattice.step_x * 2**level, lattice.step_y * 2**level
+    allocate = partial(scratch_array, field.raster)
 
     def make() -> np.ndarray:
         """Compute the logarithms, float32 [rows, columns], where none are cached."""
         heights = level_of(field.raster, level, threads)
         if sign != 1.0:  # a negative scale turns the ground upside down, and 0 makes it level
-            heights = heights * np.float32(sign)
-        holes = None if field.valid is None else holes_of_level(field.raster, level)
-        drainage = route(heights, *steps, holes, threads)
+            heights = np.multiply(heights, np.float32(sign), out=allocate(heights.shape, np.float32))
+        holes = missing_of_level(field.raster, level)
+        drainage = route(heights, *steps, holes, threads, allocate=allocate)
         filled = drainage.filled()  # the ground, with lakes up to their outlets
         area = drainage.areas(filled)
         drainage.level_lakes(filled, area)  # samples of a lake get the area of its outlet
         del heights, drainage, filled  # read by nothing below
-        out = np.empty((rows, columns), np.float32)
+        out = allocate((rows, columns), np.float32)
         cell_m2 = steps[0] * steps[1]  # `area` counts samples
         inputs = [cell_m2, flat(area, wp.float64), flat(out, wp.float32)]
         launch.spread(catchment.take_logarithms, out.size, inputs, step="routing", threads=threads)

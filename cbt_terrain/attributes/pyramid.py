@@ -14,7 +14,7 @@ import numpy as np
 
 from ..field import codes
 from ..field.continued_slopes import continue_slopes
-from ..field.derived_arrays import derive_cached_if_large, derived_shapes, samples_by_level
+from ..field.derived_arrays import derive_cached_if_large, derived_shapes, samples_by_level, scratch_array
 from ..field.heightfield import HeightRaster
 from ..field.lattice import Lattice
 from ..run import launch
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 # Name of the array in the store, and prefix of those of layers.
 PYRAMID, BESIDE_HOLES = "pyramid", "pyramid_ground_beside_holes"
 CONTINUED = 2  # samples
+ROWS = 256  # rows that are computed together
 
 
 def level_with(lattice: Lattice, max_samples: int, finest: int = 0) -> int:
@@ -88,7 +89,12 @@ def _continue_slopes(raster: HeightRaster, level: int, coarser: np.ndarray) -> N
 def level_of(raster: HeightRaster, level: int, threads: int = 1) -> np.ndarray:
     """Return the heights of a level, float32 [rows, columns] metres, row 0 south; level 0 is the raster."""
     if level == 0:
-        return raster.heights()
+        if raster.steps is None:
+            return raster.heights()
+        heights = scratch_array(raster, raster.samples.shape, np.float32)
+        for row in range(0, len(heights), ROWS):
+            heights[row : row + ROWS] = raster.heights(slice(row, row + ROWS))
+        return heights
     vertical_scale, vertical_offset = 1.0, 0.0  # heights as they are
     packed_levels = scaled_pyramid(raster, vertical_scale, vertical_offset, threads)  # fills the cache
     first = int(packed_levels.first.numpy()[level])
@@ -104,6 +110,16 @@ def holes_of_level(raster: HeightRaster, level: int, rows: slice = slice(None)) 
     holes = valid[min(first, len(valid) - 1) : end] == 0
     # A level may end beyond the border.
     return np.pad(holes, ((0, end - first - holes.shape[0]), (0, columns - holes.shape[1])), mode="edge")
+
+
+def missing_of_level(raster: HeightRaster, level: int) -> np.ndarray | None:
+    """Return which samples of a level are missing, bool [rows, columns]; None for a raster without holes."""
+    if raster.valid is None:
+        return None
+    missing = scratch_array(raster, samples_by_level(raster.lattice)[level], np.bool_)
+    for row in range(0, len(missing), ROWS):
+        missing[row : row + ROWS] = holes_of_level(raster, level, slice(row, row + ROWS))
+    return missing
 
 
 def pack_pyramid(raster: HeightRaster, coarser: np.ndarray) -> "kernels.Pyramid":

@@ -7,6 +7,7 @@ its basin. Arrays have an entry for each of n samples, in C order.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -19,6 +20,8 @@ from ..run import launch
 from ..run.buffers import flat
 
 BLOCK = 1 << 16
+# Returns an array of a shape and dtype, of any content: np.empty, or scratch_array of field/derived_arrays.py.
+Allocate = Callable[[tuple[int, ...], type], np.ndarray]
 # With noise in the choice of receivers, slopes along diagonals are multiplied by this (compare Rho8, Fairfield and
 # Leymarie 1991). Diagonal steps are longer, so that the mean path down a plane would turn towards a diagonal by up to
 # 3.5 degrees, and rills by up to 10; with this factor a path turns by at most 1.3 on square cells. On other cells a
@@ -35,7 +38,7 @@ class Drainage:
     `base`: uint8, 1 where water leaves. `to`: uint8, direction of the receiver, 3 * (dy + 1) + dx + 1, 4 for a root,
     which is always of `base`. `order`: int32, indices with donors before receivers; `areas` sorts them by height.
     `heights`: float32 metres. `catchments`: float64, drainage area in samples by single receivers; empty if `route` got
-    no weights.
+    no weights. `allocate`: makes the arrays of results and scratch.
     """
 
     grid: kernels.Grid
@@ -44,6 +47,7 @@ class Drainage:
     to: np.ndarray
     order: np.ndarray
     catchments: np.ndarray
+    allocate: Allocate = np.empty
 
     def packed(self, filled: np.ndarray) -> kernels.DrainageArrays:
         """Return the arrays as kernels read them; the memory is shared. filled: surface of lakes, float32 [n] m."""
@@ -54,7 +58,7 @@ class Drainage:
 
     def filled(self) -> np.ndarray:
         """Return the lowest surface at or above the heights from which every sample drains, float32 [n] metres."""
-        out = np.empty_like(self.heights)
+        out = self.allocate(self.heights.shape, np.float32)
         launch.once(catchment.fill_lakes, [self.packed(out)], step="routing")
         return out
 
@@ -66,8 +70,9 @@ class Drainage:
         Sorts `order` by it, the highest first; donors remain before receivers.
         """
         d = self.packed(filled)
-        launch.once(catchment.sort_order, [d, *_scratch_of_sort(len(self.to))], step="routing")
-        area = np.ones(len(self.to))  # of each sample alone, to which the kernel adds those upstream
+        launch.once(catchment.sort_order, [d, *_scratch_of_sort(len(self.to), self.allocate)], step="routing")
+        area = self.allocate(self.to.shape, np.float64)
+        area.fill(1.0)  # of each sample alone, to which the kernel adds those upstream
         d.area = flat(area, wp.float64)
         launch.once(catchment.gather_area, [d, stream], step="routing")
         return area
@@ -91,6 +96,7 @@ def route(
     threads: int = 1,
     noise: "routing.ReceiverNoise | None" = None,
     cell_weight: np.ndarray | None = None,
+    allocate: Allocate = np.empty,
 ) -> Drainage:
     """Route water over heights, float32 [rows, columns] metres, samples `step_x` and `step_y` metres apart.
 
@@ -98,22 +104,29 @@ def route(
     along the shortest paths. noise: random factors of slopes where receivers are chosen, which break straight lines;
     None for none. cell_weight: float64 of the same shape, weights whose sums over all samples upstream become the
     `catchments` of the result; None to compute none. The result does not depend on `threads`. heights: without NaN, at
-    least two rows and columns; the result shares their memory if they are contiguous.
+    least two rows and columns; the result shares their memory if they are contiguous. allocate: makes the arrays of the
+    result, except `catchments`, and of scratch.
     """
     rows, columns = heights.shape
-    base = np.zeros(heights.shape, np.uint8) if holes is None else holes.astype(np.uint8)
+    base = allocate(heights.shape, np.uint8)
+    base[:] = 0 if holes is None else holes
     base[[0, -1]] = 1
     base[:, [0, -1]] = 1
     base, h = base.reshape(-1), heights.reshape(-1)
     grid = grid_of(rows, columns, step_x, step_y)
-    to = _find_receivers(grid, h, base, noise, threads)
+    to = _find_receivers(grid, h, base, noise, threads, allocate)
     # Weights at first; `_order_samples` turns them into sums in place.
     area = np.empty(0) if cell_weight is None else cell_weight.astype(np.float64).reshape(-1)
-    return Drainage(grid, h, base, to, _order_samples(grid, to, area, threads), area)
+    return Drainage(grid, h, base, to, _order_samples(grid, to, area, threads, allocate), area, allocate)
 
 
 def _find_receivers(
-    grid: kernels.Grid, h: np.ndarray, base: np.ndarray, noise: "routing.ReceiverNoise | None", threads: int
+    grid: kernels.Grid,
+    h: np.ndarray,
+    base: np.ndarray,
+    noise: "routing.ReceiverNoise | None",
+    threads: int,
+    allocate: Allocate,
 ) -> np.ndarray:
     """Return the directions of all receivers, uint8 [n], also out of depressions and over flats.
 
@@ -122,27 +135,31 @@ def _find_receivers(
     """
     # `cross_flats` uses `order` as its queue, of which the system commits memory only for samples of flats. It counts
     # the pits, samples to which flats without an outlet drain, and gives them the labels 2, 3 ...
-    to, queue, pits = np.empty(len(h), np.uint8), np.empty(len(h), np.int32), np.zeros(1, np.int32)
+    to, queue, pits = allocate(h.shape, np.uint8), allocate(h.shape, np.int32), np.zeros(1, np.int32)
+    label = allocate(h.shape, np.int32)
+    label.fill(0)
     d = kernels.DrainageArrays()
     d.grid, d.h, d.base, d.to = grid, flat(h, wp.float32), flat(base, wp.uint8), flat(to, wp.uint8)
-    d.label, d.order = flat(np.zeros(len(h), np.int32), wp.int32), flat(queue, wp.int32)
+    d.label, d.order = flat(label, wp.int32), flat(queue, wp.int32)
     inputs = [d, _inverse_distances(grid, noise), noise or routing.ReceiverNoise()]
     spread = partial(launch.spread, step="routing", threads=threads)
     spread(routing.find_receivers, grid.height, inputs, cost=grid.width / 8)
     launch.once(routing.cross_flats, [d, flat(pits, wp.int32)], step="routing")
     if pits[0]:
-        _link(d, int(pits[0]), threads)
+        _link(d, int(pits[0]), threads, allocate)
     return to
 
 
-def _order_samples(grid: kernels.Grid, to: np.ndarray, area: np.ndarray, threads: int) -> np.ndarray:
+def _order_samples(
+    grid: kernels.Grid, to: np.ndarray, area: np.ndarray, threads: int, allocate: Allocate
+) -> np.ndarray:
     """Return indices of samples with donors before receivers, int32 [n], and sum up areas downstream.
 
     to: directions of receivers, uint8 [n]. area: weights of samples, float64 [n], which become drainage areas in place;
     empty for none.
     """
     # `donors`: numbers of donors, counted down until a sample has none left and can follow them in the order.
-    donors, order = np.empty(len(to), np.uint8), np.empty(len(to), np.int32)
+    donors, order = allocate(to.shape, np.uint8), allocate(to.shape, np.int32)
     d = kernels.DrainageArrays()
     d.grid, d.to, d.donors, d.order = grid, flat(to, wp.uint8), flat(donors, wp.uint8), flat(order, wp.int32)
     if area.size:
@@ -152,10 +169,10 @@ def _order_samples(grid: kernels.Grid, to: np.ndarray, area: np.ndarray, threads
     return order
 
 
-def _scratch_of_sort(count: int) -> "list[wp.array]":
+def _scratch_of_sort(count: int, allocate: Allocate) -> "list[wp.array]":
     """Return memory for a sort of `count` samples or passes: the last arguments `scratch` .. `starts` of its kernel."""
-    halves, starts = np.empty(count, np.uint16), np.zeros(2 << 16, np.int32)
-    return [flat(np.empty(count, np.int32), wp.int32), flat(halves, wp.uint16), flat(starts, wp.int32)]
+    halves, starts = allocate((count,), np.uint16), np.zeros(2 << 16, np.int32)
+    return [flat(allocate((count,), np.int32), wp.int32), flat(halves, wp.uint16), flat(starts, wp.int32)]
 
 
 def grid_of(rows: int, columns: int, step_x: float, step_y: float) -> kernels.Grid:
@@ -186,7 +203,7 @@ def _inverse_distances(grid: kernels.Grid, noise: "routing.ReceiverNoise | None"
     return wp.vec3f(ew * axes, ns / axes, DIAGONAL * diagonal)
 
 
-def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
+def _link(d: kernels.DrainageArrays, pits: int, threads: int, allocate: Allocate) -> None:
     """Drain every basin that ends in a pit over its lowest pass into a neighbouring basin.
 
     Passes are counted first and listed then, to allocate their arrays. Sorted by height, they form a spanning tree of
@@ -211,9 +228,11 @@ def _link(d: kernels.DrainageArrays, pits: int, threads: int) -> None:
     start[1:] = np.cumsum(start[:-1])
     start[0] = 0
     count = int(start[-1])
-    edge = np.empty(count, np.int32)
+    edge = allocate((count,), np.int32)
     launch_search(emit=1, edge=edge)
-    launch.once(routing.sort_passes, [count, d, flat(edge, wp.int32), *_scratch_of_sort(count)], step="routing")
+    scratch = _scratch_of_sort(count, allocate)
+    launch.once(routing.sort_passes, [count, d, flat(edge, wp.int32), *scratch], step="routing")
+    del scratch
     # Union-find: the parent of each basin, at first itself. Label 1 is all outlets; those of pits begin at 2.
     parents = np.arange(pits + 2, dtype=np.int32)
     launch.once(routing.link_basins, [count, pits, d, flat(edge, wp.int32), flat(parents, wp.int32)], step="routing")

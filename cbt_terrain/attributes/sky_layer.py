@@ -6,23 +6,25 @@ coarse level.
 
 It is cached with the field and, when complete, in its store, for the last MAX_SCALES vertical scales. An interrupted
 computation continues from the last complete azimuth: its state is the number of `azimuths` that are complete, of
-AZIMUTHS, and `sky`, the sum of their shares at each sample.
+AZIMUTHS, and `sky`, the sum of their shares at each sample. Its arrays are those of one `process`.
 
 Holes hide nothing. A missing sample has the sky of the nearest known one, for points between both.
 """
+
+import os
 
 import numpy as np
 import warp as wp
 
 from ...kernels.effects import sweep as kernels
 from ..field.cleaning import fill_missing
-from ..field.derived_arrays import samples_by_level
+from ..field.derived_arrays import samples_by_level, scratch_array
 from ..field.heightfield import HeightField
 from ..run import launch
 from ..run.buffers import flat
 from ..run.locks import caching
 from .light import AZIMUTHS, azimuths
-from .pyramid import holes_of_level, level_of, level_with
+from .pyramid import level_of, level_with, missing_of_level
 from .whole import read_stored, remove_old, result_file, write_result
 
 # Bounds memory and the time of a step.
@@ -83,12 +85,17 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
             level = layer_level(field)
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
-            (rows, columns), missing = heights.shape, _missing(field, level)
-            azimuth, horizons = azimuths()[state["azimuths"]], np.empty(heights.shape, np.float32)
+            (rows, columns), missing = heights.shape, missing_of_level(field.raster, level)
+            azimuth = azimuths()[state["azimuths"]]
+            if "horizons" not in state:  # for all azimuths, because new files take a tenth of the time
+                state["horizons"] = scratch_array(field.raster, heights.shape, np.float32)
+            horizons = state["horizons"]
             sweep(heights, steps, azimuth, scale, threads, horizons, missing=missing)
-            # Removed while the kernel adds: a process forked meanwhile sees no half-added sums and starts again.
+            # Removed while the kernel adds: after an interruption no half-added sums remain, and it starts again.
             sums = state.pop("sky", None)
-            sums = np.zeros(heights.shape, np.float32) if sums is None else sums
+            if sums is None:
+                sums = scratch_array(field.raster, heights.shape, np.float32)
+                sums.fill(0.0)
             sky = kernels.Sky()
             sky.rows, sky.columns = rows, columns
             # Slopes are differences of heights times `per_cell`, which has the vertical scale in it.
@@ -102,6 +109,7 @@ def _add_azimuth(field: HeightField, scale: float, threads: int) -> dict:
                 file = _file_of(field, scale)
                 sums = write_result(field, file, sums)  # mapped if it is in the store
                 remove_old(field, f"effect_{LAYER}_*.npy", file, MAX_SCALES)
+                del state["horizons"]
             state |= {"sky": sums, "azimuths": done}
         return state
 
@@ -114,6 +122,9 @@ def _layer_state(field: HeightField, scale: float) -> dict:
     if (LAYER, scale) not in field.cache.results:
         _load_from_store(field, scale)
     state = _cache_entry(field, LAYER, scale)
+    if state.get("azimuths") != AZIMUTHS and state.get("process") != os.getpid():
+        state.clear()  # a forked child begins again, because it shares these arrays with its parent
+        state["process"] = os.getpid()
     if "sky" not in state:
         state["azimuths"] = 0
     return state
@@ -130,11 +141,6 @@ def _load_from_store(field: HeightField, scale: float) -> None:
 def _file_of(field: HeightField, scale: float) -> str:
     """Return the name of the file in the store that has the sky at a vertical scale, without its suffix."""
     return result_file(LAYER, VERSION, (scale,) if field.valid is None else (scale, "holes", HOLES_VERSION))
-
-
-def _missing(field: HeightField, level: int) -> np.ndarray | None:
-    """Return which samples of a level are missing, bool [rows, columns]; None for a raster without holes."""
-    return None if field.valid is None else holes_of_level(field.raster, level)
 
 
 def _fill_holes(values: np.ndarray, missing: np.ndarray | None, threads: int) -> None:
@@ -160,7 +166,7 @@ def preview_horizons(field: HeightField, scale: float, threads: int) -> kernels.
         if "horizons" not in state:
             heights = np.ascontiguousarray(level_of(field.raster, level, threads))
             steps = field.lattice.step_x * 2**level, field.lattice.step_y * 2**level
-            missing = _missing(field, level)
+            missing = missing_of_level(field.raster, level)
             horizons = np.empty((PREVIEW_AZIMUTHS, *heights.shape), np.float32)
             for azimuth, out in zip(azimuths(), horizons, strict=False):
                 sweep(heights, steps, azimuth, scale, threads, out, missing=missing)
@@ -197,7 +203,7 @@ def sweep(
     s.major_stride, s.minor_stride = (columns, 1) if upright else (1, columns)
     along, across = (north, east) if upright else (east, north)
     if missing is not None:
-        s.holed, s.known = 1, flat((~missing).view(np.uint8), wp.uint8)
+        s.holed, s.missing = 1, flat(missing.view(np.uint8), wp.uint8)
     # From one sample along the major axis to the next, a line moves `slope` minor samples and is `metres` long.
     s.backwards, s.slope, s.metres = int(along < 0.0), across / along, 1.0 / abs(along)
     s.phase = s.slope * first[0 if upright else 1] % 1.0  # part of a sample by which the larger raster's lines shift

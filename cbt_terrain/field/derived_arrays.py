@@ -6,6 +6,8 @@ when all arrays that belong together are complete. They are in the folder of arr
 it. Without a store, or if that cannot be written, the arrays are in memory.
 """
 
+import math
+import os
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
@@ -14,6 +16,7 @@ from numpy.typing import DTypeLike
 
 from ..errors import TerrainError
 from ..run import partial_files
+from ..run.owned_files import NotOursError
 from . import store, store_arrays
 from .blocks import level_shapes
 from .heightfield import HeightRaster
@@ -59,6 +62,24 @@ def _fill_in_memory(shapes: Shapes, fill: Callable[[Arrays], None]) -> Arrays:
     arrays = {name: np.zeros(*spec) for name, spec in shapes.items()}
     fill(arrays)
     return arrays
+
+
+def scratch_array(raster: HeightRaster, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+    """Return an array of any content for intermediate results; one of MIN_CACHED items or more is mapped from a file.
+
+    The system can write its pages to that file when it needs memory. The file is created beside the raster's arrays in
+    the store and loses its name before this returns, so nothing remains however the process ends. A forked child shares
+    the array's content. Without a store, or if that cannot be written, the array is in memory; so it is on Windows,
+    which removes no mapped file.
+    """
+    folder = store.data_folder(raster) if math.prod(shape) >= MIN_CACHED and os.name == "posix" else None
+    if folder is not None:
+        try:
+            with partial_files.private_folder(folder) as private:
+                return store_arrays.allocate_array(private / "scratch.npy", shape, dtype, huge_pages=True)
+        except (OSError, NotOursError):
+            pass  # a full disk, or a store that may not be written
+    return np.empty(shape, dtype)
 
 
 def load(raster: HeightRaster, shapes: Shapes) -> Arrays | None:

@@ -15,6 +15,7 @@ import os
 import struct
 import zlib
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -94,13 +95,14 @@ def write_array(file: Path, array: np.ndarray) -> None:
         handle.write(all_checksums(array))
 
 
-def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.ndarray:
+def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike, huge_pages: bool = False) -> np.ndarray:
     """Return a zeroed array in a new file, or the array in the file that is there, mapped for writing.
 
     `append_checksums` completes the file. An array without entries is in memory.
 
     Its space on disk is allocated now. Raises OSError (ENOSPC) if the disk is full, because a mapped page without space
-    would kill the process later.
+    would kill the process later. huge_pages: ask the system for pages of 2 MiB. Not all file systems have
+    them; without, access to distant rows takes up to a fifth longer.
     """
     if not os.path.lexists(file):
         file.write_bytes(header(shape, dtype))
@@ -111,7 +113,12 @@ def allocate_array(file: Path, shape: tuple[int, ...], dtype: DTypeLike) -> np.n
         handle.truncate(nbytes)
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(handle.fileno(), 0, nbytes)
-    return np.load(file, mmap_mode="r+").view(np.ndarray)
+    array = np.load(file, mmap_mode="r+")
+    mapped = getattr(array, "_mmap", None)
+    if huge_pages and mapped is not None and hasattr(mmap, "MADV_HUGEPAGE"):
+        with suppress(OSError):
+            mapped.madvise(mmap.MADV_HUGEPAGE)
+    return array.view(np.ndarray)
 
 
 def append_checksums(file: Path, array: np.ndarray) -> None:

@@ -43,7 +43,7 @@ class Sweep:
     slopes: wp.array(dtype=wp.float32)  # [2 major] of each
     out: wp.array(dtype=wp.float32)  # metres a metre, at least 0
     holed: wp.int32  # 1 if some samples are missing, which hide nothing
-    known: wp.array(dtype=wp.uint8)  # 0 at missing samples; unused without any
+    missing: wp.array(dtype=wp.uint8)  # 1 at missing samples; unused without any
 
 
 @wp.func_native(
@@ -69,7 +69,7 @@ class Sweep:
             const long long index = k * along + j * across;
             bool is_ground = true;
             if (s.holed) {
-                const bool before = s.known.data[index], after = s.known.data[index + across];
+                const bool before = !s.missing.data[index], after = !s.missing.data[index + across];
                 is_ground = at == j ? before : at == j + 1 ? after : before && after;
                 now[k] = 0.0f;
                 if (!before && !after) continue;  // no sample of ground reads the horizon of this point

@@ -138,7 +138,7 @@ def stored(tmp_path):
 def test_a_result_is_computed_once(stored, monkeypatch):
     runs = []
     route = routing.route
-    monkeypatch.setattr(routing, "route", lambda *given: runs.append(1) or route(*given))
+    monkeypatch.setattr(routing, "route", lambda *given, **named: runs.append(1) or route(*given, **named))
     first = flow_at(places_of(stored))
     assert np.array_equal(flow_at(places_of(stored, scale=2.5)), first) and len(runs) == 1, "in memory"
     whole.forget_results()

@@ -12,6 +12,7 @@ them one comparison.
 """
 
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,8 +39,10 @@ if TYPE_CHECKING:
 
 ENTRIES = PAGE * PAGE  # of a page
 NAMES = ("error", "ranges")  # arrays of a store that may have a table
+PARTS = ("pages", "places")  # files of such an array: NAME_PART.npy
 # Pages are shared if that saves this many bytes and this fraction of the array.
 MIN_SAVED, MIN_FRACTION = 1 << 20, 0.25
+SPARE_BYTES = 1 << 24  # of a disk that stay free for what is written after the pages
 READ_PAGES = 4096  # that are read at once
 CAN_REMOVE_MAPPED = os.name != "nt"  # Windows removes no file that is mapped
 
@@ -114,10 +117,12 @@ def read_into(array: Paged, out: np.ndarray) -> None:
 def share_pages(folder: Path, name: str, array: np.ndarray) -> bool:
     """Write the pages and the table of a store's array, if that saves enough; return whether it does.
 
-    array: the whole pages, mapped from NAME.npy in the folder. That file stays, so that an import that is killed can be
-    continued; the caller removes it once the store is published. Nothing is shared where that is impossible, nor on a
-    full disk.
+    array: the whole pages, mapped from NAME.npy in the folder. That file stays until the store is published, so that an
+    import that is killed can be continued. Nothing is shared where the file could not be removed then, nor on a disk
+    that the pages would fill. Raises OSError.
     """
+    for part in PARTS:
+        owned_files.remove_file(folder / f"{name}_{part}.npy")  # of an import that was killed
     if not CAN_REMOVE_MAPPED or not len(array):
         return False
     places, stored = _find_places(array)
@@ -125,8 +130,9 @@ def share_pages(folder: Path, name: str, array: np.ndarray) -> bool:
     if saved < max(MIN_SAVED, MIN_FRACTION * array.nbytes):
         return False
     file, pages = folder / f"{name}_pages.npy", _pages_of(array)
+    if shutil.disk_usage(folder).free < len(stored) * pages[0].nbytes + places.nbytes + SPARE_BYTES:
+        return False
     try:
-        owned_files.remove_file(file)  # of an import that was killed
         out = allocate_array(file, (len(stored) * ENTRIES, *array.shape[1:]), array.dtype)
         for first in range(0, len(stored), READ_PAGES):
             _pages_of(out)[first : first + READ_PAGES] = pages[stored[first : first + READ_PAGES]]
@@ -167,7 +173,9 @@ def map_pages(folder: Path, name: str, shape: tuple[int, ...], dtype: DTypeLike)
     file = folder / f"{name}_places.npy"
     places = map_array(file, (shape[0] // ENTRIES,), np.int32)
     steps = np.diff(places, prepend=np.int32(-1))
-    if steps[0] != 1 or not ((steps == 0) | (steps == 1)).all():  # each page is the stored one before or the next one
+    # Each page is the stored one before or the next one.
+    is_valid = len(steps) > 0 and steps[0] == 1 and ((steps == 0) | (steps == 1)).all()
+    if not is_valid:
         raise TerrainError(f"{file} is damaged (its numbers do not rise by 0 or 1)", fix=AGAIN)
     count = int(places[-1]) + 1  # of stored pages
     return SharedPages(map_array(folder / f"{name}_pages.npy", (count * ENTRIES, *shape[1:]), dtype), places)

@@ -300,11 +300,10 @@ class Draft:
         self.published = True
         partial_files.end_work(self.folder, self._lock)  # release the folder's lock
         with suppress(OSError, NotOursError):  # a folder with files of the user stays
-            for name in shared:
-                owned_files.remove_file(self.folder / f"{name}.npy")  # its pages are in another file now
             if previous is not None:
                 remove_arrays(previous)
-        remove_abandoned(self.path, with_work=True)  # also unfinished versions, which are of no use now
+        # Also whole arrays with shared pages, and unfinished versions, which are of no use now.
+        remove_abandoned(self.path, with_work=True)
 
     def _checked_text(self, content: dict) -> str:
         """Return the JSON of a new version; `content` gets its "sum". Raises TerrainError if reading it would fail."""

@@ -13,6 +13,7 @@ from ..errors import TerrainError, check_path, shown
 from ..run import owned_files, partial_files
 from ..run.named_file import read_regular
 from ..run.owned_files import NotOursError
+from .shared_pages import NAMES, PARTS
 from .store_entries import is_data_name
 
 JSON_NAME = "store.json"
@@ -171,10 +172,15 @@ def discard(path: Path, folder: str, new_folders: list[Path], with_work: bool = 
 
 def named_folder(path: Path) -> Path | None:
     """Return the folder of arrays that store.json names; None without one, or for a damaged store."""
-    file = path / JSON_NAME
+    content = _content(path)
+    return None if content is None else path / content["data"]
+
+
+def _content(path: Path) -> dict | None:
+    """Return the unchecked content of store.json; None without one, or if it names no folder of arrays."""
     try:
-        name = json.loads(read_regular(file, MAX_JSON_BYTES).decode("utf-8"))["data"]
-        return path / name if is_data_name(name) else None
+        content = json.loads(read_regular(path / JSON_NAME, MAX_JSON_BYTES).decode("utf-8"))
+        return content if is_data_name(content["data"]) else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
@@ -215,8 +221,8 @@ def scratch_name(folder: str) -> str:
 def remove_abandoned(path: Path, with_work: bool = False) -> None:
     """Remove the folders of arrays that neither a living process nor store.json uses.
 
-    The folder that store.json names stays, but loses UNFINISHED_NAME: it is published, so its arrays are finished.
-    with_work: also remove the folders that could be completed; otherwise they are kept for WORK_SECONDS.
+    The folder that store.json names stays, but loses its `_finished_files`. with_work: also remove the folders that
+    could be completed; otherwise they are kept for WORK_SECONDS.
     """
     if os.path.lexists(path / JSON_NAME) and named_folder(path) is None:
         return  # a damaged store does not name the folder that it needs
@@ -224,12 +230,26 @@ def remove_abandoned(path: Path, with_work: bool = False) -> None:
         with suppress(OSError):
             if not is_array_folder(folder):
                 continue
-            if _is_current(path, folder):
-                owned_files.remove_file(folder / UNFINISHED_NAME)
+            for file in _finished_files(path, folder):
+                owned_files.remove_file(file)
             if with_work or not _can_be_continued(folder):
                 token = folder.name.removeprefix(DATA_PREFIX)  # begins with the mark of the machine that wrote it
                 is_needed = functools.partial(_is_current, path, folder)
                 partial_files.remove_if_abandoned(folder, token, is_needed, is_array_name)
+
+
+def _finished_files(path: Path, folder: Path) -> list[Path]:
+    """Return the files of a store's folder of arrays that are of no use once it is published; [] before that.
+
+    These are UNFINISHED_NAME and the whole arrays of which the pages are in another file.
+    """
+    content = _content(path)
+    if content is None or content["data"] != folder.name:
+        return []
+    shared = content.get("shared", [])
+    names = [name for name in NAMES if isinstance(shared, list) and name in shared]
+    whole = [name for name in names if all(os.path.lexists(folder / f"{name}_{part}.npy") for part in PARTS)]
+    return [folder / f"{name}.npy" for name in whole] + [folder / UNFINISHED_NAME]
 
 
 def _can_be_continued(folder: Path) -> bool:

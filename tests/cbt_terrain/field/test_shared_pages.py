@@ -3,6 +3,7 @@
 
 import errno
 import itertools
+import json
 import shutil
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import numpy as np
 import pytest
 from adaptive_terrain.cbt_terrain.errors import TerrainError
 from adaptive_terrain.cbt_terrain.field import shared_pages
+from adaptive_terrain.cbt_terrain.field import store as store_module
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.cell_ranges import rectangle_ranges
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
 from adaptive_terrain.cbt_terrain.field.shared_pages import SharedPages
 from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store, read_json
+from adaptive_terrain.cbt_terrain.field.store_folder import remove_abandoned
 from adaptive_terrain.cbt_terrain.field.verification import verify
 from adaptive_terrain.cbt_terrain.fit.fit import fit
 from adaptive_terrain.cbt_terrain.importing.build_store import run_import
@@ -200,6 +203,45 @@ def test_a_full_disk_leaves_whole_pages(tmp_path, monkeypatch):
     store = imported(tmp_path, "store")
     assert "shared" not in read_json(store) and verify(store)["error.npy"] > 0
     assert not list(store.glob("data-*/*_pages.npy"))
+
+
+def test_pages_do_not_fill_the_disk(tmp_path, monkeypatch):
+    """What is written after them needs room, too."""
+    monkeypatch.setattr(shared_pages, "MIN_SAVED", 0)
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shared_pages.shutil, "disk_usage", lambda _: usage._replace(free=9_000_000))
+    store = imported(tmp_path, "store")
+    assert "shared" not in read_json(store) and verify(store)["error.npy"] > 0
+
+
+def test_whole_pages_of_a_killed_import_are_removed(tmp_path, monkeypatch):
+    """It was killed after it had published the store, and before it removed the pages that are in another file."""
+
+    def killed(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(shared_pages, "MIN_SAVED", 0)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(store_module, "remove_abandoned", killed)
+        imported(tmp_path, "store")
+    counts, left = verify(tmp_path / "store"), lambda: [*tmp_path.glob("store/data-*/error.npy")]
+    assert len(left()) == 1
+    remove_abandoned(tmp_path / "store")  # as the next import does
+    assert not left() and verify(tmp_path / "store") == counts
+
+
+def test_pages_of_no_heights_are_refused(tmp_path):
+    """A raster of 2 x 2 samples has no ranges; a hostile store may say that they are shared."""
+    np.save(tmp_path / "four.npy", np.float32([[1, 2], [3, 4]]))
+    store = tmp_path / "four"
+    run_import(ImportSettings(source=str(tmp_path / "four.npy")), store)
+    content, [ranges] = read_json(store), store.glob("data-*/ranges.npy")
+    shared_pages.write_array(ranges.with_name("ranges_places.npy"), np.empty(0, np.int32))
+    content |= {"shared": ["ranges"], "version": 8}
+    content["sum"] = store_module._sum_of({name: value for name, value in content.items() if name != "sum"})
+    (store / "store.json").write_text(json.dumps(content))
+    with pytest.raises(TerrainError, match=r"ranges_places.npy is damaged"):
+        open_store(store)
 
 
 def test_mapped_files_are_kept_where_they_cannot_be_removed(tmp_path, monkeypatch):

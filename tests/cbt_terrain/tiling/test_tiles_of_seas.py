@@ -4,7 +4,7 @@
 import shutil
 
 import pytest
-from adaptive_terrain.cbt_terrain.field import shared_pages
+from adaptive_terrain.cbt_terrain.field import shared_pages, store
 from adaptive_terrain.cbt_terrain.field.store import read_json
 from adaptive_terrain.cbt_terrain.mosaic.import_child import run_mosaic_import
 from adaptive_terrain.cbt_terrain.rasters.raster import ImportSettings
@@ -70,16 +70,26 @@ def test_damaged_pages_are_not_used_again(seas, tiled, name):  # noqa: F811
     assert len(imported_again(seas, tiled).read) == COLUMNS * ROWS
 
 
-def test_a_killed_publication_is_continued(seas, tiled, monkeypatch):  # noqa: F811
-    """The shared pages are written, but the store is not published yet."""
-    from adaptive_terrain.cbt_terrain.field import store
-
+def kill_while_publishing(seas, monkeypatch):
+    """Import anew, but end when the shared pages are written and the store is not published yet."""
     shutil.rmtree(seas / "store")
-    settings = ImportSettings(str(seas / "tiles"))
     with monkeypatch.context() as patch:
         patch.setattr(store, "check_version", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
-            run_mosaic_import(settings, seas / "store")
+            run_mosaic_import(ImportSettings(str(seas / "tiles")), seas / "store")
+
+
+def test_a_killed_publication_is_continued(seas, tiled, monkeypatch):  # noqa: F811
+    kill_while_publishing(seas, monkeypatch)
     assert len(list(seas.glob("store/data-*/error*.npy"))) == 3
     assert imported_again(seas, tiled).read == []
     assert not list(seas.glob("store/data-*/error.npy"))
+
+
+def test_pages_of_a_killed_publication_do_not_stay(seas, tiled, monkeypatch):  # noqa: F811
+    """The import goes on, but nothing is shared any more."""
+    kill_while_publishing(seas, monkeypatch)
+    monkeypatch.setattr(shared_pages, "MIN_SAVED", 1 << 30)
+    run_mosaic_import(ImportSettings(str(seas / "tiles")), seas / "store")
+    assert "shared" not in read_json(seas / "store")
+    assert not [*seas.glob("store/data-*/*_pages.npy"), *seas.glob("store/data-*/*_places.npy")]

@@ -96,6 +96,27 @@ def parts_of(array: Paged) -> list[np.ndarray]:
     return [array.stored, array.places] if isinstance(array, SharedPages) else [array]
 
 
+def stored_from(array: Paged, first: int) -> np.ndarray:
+    """Return a view of the stored entries of an array from an entry on: each shared page once.
+
+    first: a multiple of ENTRIES below the array's length.
+    """
+    if isinstance(array, SharedPages):
+        return array.stored[int(array.places[first // ENTRIES]) * ENTRIES :]  # the numbers never fall
+    return array[first:]
+
+
+def image_pages(array: Paged, entries: slice, pages: int, y: slice, x: slice) -> np.ndarray:
+    """Return some pages of an image in an array, [rows, columns, ENTRIES, ...]: a view, or a copy of shared pages.
+
+    entries: those of the image. pages: in a row of it. y, x: rows and columns of pages.
+    """
+    if isinstance(array, SharedPages):
+        places = array.places[entries.start // ENTRIES : entries.stop // ENTRIES]
+        return _pages_of(array.stored)[places.reshape(-1, pages)[y, x]]
+    return array[entries].reshape(-1, pages, ENTRIES, *array.shape[1:])[y, x]
+
+
 def pack_pages(array: Paged, dtype: Any) -> tuple["wp.array", "wp.array"]:
     """Return an array of pages and its table as kernels read them; the table is empty if no pages are shared.
 

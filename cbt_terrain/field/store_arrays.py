@@ -81,7 +81,7 @@ def all_checksums(array: np.ndarray) -> bytes:
 
 
 def release_pages(array: np.ndarray) -> None:
-    """Release the memory of an array of `allocate_array`, which counts as memory of the process, but is in its file."""
+    """Release the memory of a mapped array, which counts as memory of the process; its content is in the file."""
     mapped = getattr(array.base, "_mmap", None)
     if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
         mapped.madvise(mmap.MADV_DONTNEED)

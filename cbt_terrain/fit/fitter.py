@@ -28,6 +28,7 @@ from ...kernels.refine.pixels import CriterionArrays, unlimited
 from ..field.depths import DEPTH_BELOW_CELLS, usual_depth
 from ..field.domain import box_of
 from ..field.heightfield import HeightField
+from ..field.shared_pages import stored_from
 from ..history.frame_history import FrameHistory
 from ..mesh import borders
 from ..mesh.builder import SurfaceRequest, build_surface
@@ -287,7 +288,8 @@ class Fitter:
         """
         lattice = self.field.lattice
         # A fit moves no vertex inside a raster cell. twist: largest error of cells before they are divided, metres.
-        twist = float(self.field.table[lattice.groups][self.field.error[lattice.cell_base :].max()]) * self.scale
+        codes = stored_from(self.field.error, lattice.cell_base)
+        twist = float(self.field.table[lattice.groups][codes.max()]) * self.scale
         # Triangles per side of a cell: each halving of the side leaves a quarter of the twist's error, so about
         # log4(twist / error_m) halvings reach the request; 1 to spare.
         divided = 2.0 ** math.ceil(0.5 * math.log2(twist / error_m) + 1) if error_m and twist > error_m else 1.0

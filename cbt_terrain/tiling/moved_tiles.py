@@ -8,7 +8,8 @@ each two levels of vertices (a group) and one for the raster's cells.
 
 import numpy as np
 
-from ..field.shared_pages import Paged
+from ..field.shared_pages import NAMES, Paged, parts_of
+from ..field.store_arrays import release_pages
 from .tile_grid import OwnedArea, TileGrid, halved, owned_areas
 from .tile_records import MEASURED, READ
 from .tile_work import STORED, TileWork
@@ -60,6 +61,7 @@ def copy_moved(before: TileWork, work: TileWork, moved: tuple[int, int]) -> None
     for name in STORED if numbers else ():
         before.verify(name)
     read, measured = before.records(READ), before.records(MEASURED)
+    results = {name: before.published(name) for name in NAMES if numbers}  # mapped once, since each time checks all
     records = []
     for number, new in numbers.items():
         box, new_box = before.grid.box(number), work.grid.box(new)
@@ -72,7 +74,7 @@ def copy_moved(before: TileWork, work: TileWork, moved: tuple[int, int]) -> None
         if number in read and not read[number]["missing"]:
             records.append(read[number] | {"number": new})
         if "errors" in measured.get(number, ()) and before.grid.shape_of(box) == work.grid.shape_of(new_box):
-            _copy_measured(before, number, work, new)
+            _copy_measured(before, results, number, work, new)
             # The errors of diamonds larger than a tile ("above") depend on the extent.
             records.append(measured[number] | {"number": new, "above": UNKNOWN})
     work.write_records(records)
@@ -92,17 +94,22 @@ def _common_tiles(before: TileGrid, grid: TileGrid, moved: tuple[int, int]) -> d
     return numbers
 
 
-def _copy_measured(before: TileWork, number: int, work: TileWork, new: int) -> None:
+def _copy_measured(before: TileWork, results: dict[str, Paged], number: int, work: TileWork, new: int) -> None:
     """Copy the errors and ranges of tile `number` of an earlier raster to tile `new` of a work.
 
+    results: both arrays of the earlier raster, by name. Their pages in memory are released, since they count as memory
+    of this process.
     "borders" are the values of vertices near the tile's border as this tile alone was measured; the raster has the
     largest value of all tiles that share a vertex.
     Ranges are stored for every other sample only, so their layout is that of a grid at half the resolution.
     """
     work.open("borders")[new] = before.open("borders")[number]
-    _copy_entries(before.grid, number, before.published("error"), work.grid, new, work.open("error"), has_cells=True)
-    halves = halved(before.grid), number, before.published("ranges"), halved(work.grid), new, work.open("ranges")
+    _copy_entries(before.grid, number, results["error"], work.grid, new, work.open("error"), has_cells=True)
+    halves = halved(before.grid), number, results["ranges"], halved(work.grid), new, work.open("ranges")
     _copy_entries(*halves, has_cells=False)
+    for array in results.values():
+        for part in parts_of(array):
+            release_pages(part)
 
 
 def _copy_entries(
@@ -129,8 +136,7 @@ def _copy_area(area: OwnedArea, values: Paged, new_area: OwnedArea, whole: np.nd
     end of the image, so its two areas may differ in size; the entries that only one of them has are 0.
     """
     height, width = min(area.height, new_area.height), min(area.width, new_area.width)
-    is_paged = area.is_paged and new_area.is_paged and (area.height, area.width) == (new_area.height, new_area.width)
-    if is_paged and isinstance(values, np.ndarray):
+    if area.is_paged and new_area.is_paged and (area.height, area.width) == (new_area.height, new_area.width):
         new_area.paged(whole)[:] = area.paged(values)
     else:
         whole[new_area.positions()[:height, :width]] = values[area.positions()[:height, :width]]

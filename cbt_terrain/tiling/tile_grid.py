@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..field.lattice import PAGE, Lattice, TileBox, rows_of, tile_index
+from ..field.shared_pages import Paged, image_pages
 
 TILE_BITS = 11  # a tile of an import has 2**11 cells a side
 
@@ -213,11 +214,14 @@ class OwnedArea:
         """Return whether the area consists of whole pages."""
         return not (self.x | self.y | self.width | self.height) % PAGE
 
-    def paged(self, whole: np.ndarray) -> np.ndarray:
-        """Return the pages of the area as a view [rows, columns, PAGE * PAGE, ...] of the array of the raster."""
-        image = whole[self.entries].reshape(-1, self.pages, PAGE * PAGE, *whole.shape[1:])
+    def paged(self, whole: Paged) -> np.ndarray:
+        """Return the pages of the area in the array of the raster, [rows, columns, PAGE * PAGE, ...].
+
+        This is a view, or a copy of shared pages.
+        """
         y, x = self.y // PAGE, self.x // PAGE
-        return image[y : y + self.height // PAGE, x : x + self.width // PAGE]
+        rows, columns = slice(y, y + self.height // PAGE), slice(x, x + self.width // PAGE)
+        return image_pages(whole, self.entries, self.pages, rows, columns)
 
     def positions(self) -> np.ndarray:
         """Return the entries of the vertices in the array of the raster, int64 [rows, columns]."""

@@ -15,7 +15,7 @@ from adaptive_terrain.cbt_terrain.field import store as store_module
 from adaptive_terrain.cbt_terrain.field.bicubic import interpolated
 from adaptive_terrain.cbt_terrain.field.cell_ranges import rectangle_ranges
 from adaptive_terrain.cbt_terrain.field.packing import copy_store
-from adaptive_terrain.cbt_terrain.field.shared_pages import SharedPages
+from adaptive_terrain.cbt_terrain.field.shared_pages import SharedPages, image_pages, stored_from
 from adaptive_terrain.cbt_terrain.field.store import is_intact, open_store, read_json
 from adaptive_terrain.cbt_terrain.field.store_folder import remove_abandoned
 from adaptive_terrain.cbt_terrain.field.verification import verify
@@ -101,6 +101,23 @@ def test_parts_of_shared_pages_are_read_like_arrays(pair, name):
         assert np.array_equal(found[first:end], whole[first:end])
     entries = rng.integers(0, len(whole), (40, 30))
     assert np.array_equal(found[entries], whole[entries])
+
+
+def test_pages_of_an_image_are_copied_alone(pair):
+    """Those of the finest vertices; the rows and columns are of pages."""
+    (whole, found), lattice = (field.error for field in pair), pair[0].lattice
+    (first, end), pages = lattice.layout()[0][:2], int(lattice.layout()[1][0])
+    expected = whole[first:end].reshape(-1, pages, 1024)[2:7, 3:9]
+    for array in (whole, found):
+        assert np.array_equal(image_pages(array, slice(first, end), pages, slice(2, 7), slice(3, 9)), expected)
+
+
+def test_stored_pages_from_a_page_on_have_all_values(pair):
+    whole, found = (field.error for field in pair)
+    for page in (0, 3, 40, len(whole) // 1024 - 1):
+        assert set(stored_from(found, page * 1024)) == set(whole[page * 1024 :])
+    assert np.shares_memory(stored_from(found, 1024), found.stored)
+    assert len(stored_from(found, 1024)) < 0.7 * len(stored_from(whole, 1024))
 
 
 VIEW = View.look((-1500.0, -1200.0, 300.0), (0.0, 0.0, 0.0), resolution=(640, 360))

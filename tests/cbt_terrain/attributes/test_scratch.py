@@ -19,6 +19,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows removes no m
 @pytest.fixture(autouse=True)
 def small_arrays_are_mapped(monkeypatch):
     whole.forget_results()
+    monkeypatch.setattr(derived_arrays, "MIN_SCRATCH", 1)
     monkeypatch.setattr(derived_arrays, "MIN_CACHED", 1)
     monkeypatch.setattr(pyramid, "ROWS", 16)
     yield

@@ -46,9 +46,10 @@ layer.slope.edge = 0.1396263
 
 layer = settings.layers.add()
 layer.name = "Stream"
-layer.color = (0.19, 0.18, 0.155)
-layer.noise_size = 60
-layer.ragged = 0.6
+layer.color = (0.075, 0.075, 0.06)
+layer.strength = 0.8
+layer.noise_size = 90
+layer.ragged = 1.4
 layer.seed = 4
 layer.slope.use = True
 layer.slope.high = 0.5235988

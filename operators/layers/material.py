@@ -33,6 +33,9 @@ LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
 SEAM = 0.01
 # Octaves of the variation, in its size; the distance at which an octave is half as strong, in the octave's size.
 BROAD, FINE, SEEN = 3.0, 0.12, 500.0
+# Largest tufts of grass, metres; how often they halve at most; the distance at which they are half as strong, in TUFT.
+TUFT, OCTAVES, TUFTS_SEEN = 1.5, 6.0, 100.0
+TUFTED, PIXEL = (1.05, 1.0, 0.9), 0.001  # what tufts do to a colour; the smallest one, as a fraction of its distance
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,10 @@ def new_plain_material(name: str, color: tuple[float, float, float], size: float
     n = Nodes(tree)
     variation, length = n.add("ShaderNodeValue", label=VARIATION), n.add("ShaderNodeValue", label=SIZE)
     variation.outputs[0].default_value, length.outputs[0].default_value = 0.5, size
-    varied = _add_variation(n, color, _add_noise(n, length.outputs[0]), variation.outputs[0])
+    noise = _add_noise(n, length.outputs[0])
+    if _is_grass(color):
+        color = n.vector("MULTIPLY", color, _add_tufts(n, length.outputs[0], variation.outputs[0]))
+    varied = _add_variation(n, color, noise, variation.outputs[0])
     inputs = {"Base Color": varied, "Roughness": 0.9, "Specular IOR Level": 0.2}
     n.add("ShaderNodeOutputMaterial", {"Surface": n.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]})
     n.arrange()
@@ -187,7 +193,12 @@ def build_group(tree, sources: LayerSources, size: float) -> None:
     n = Nodes(tree)
     group_inputs = n.add("NodeGroupInput").outputs
     noise = _add_noise(n, group_inputs[SIZE])
-    colour = _add_mixture(n, sources, [group_inputs[name] for name in names], noise) if names else PLAIN
+    layers = [group_inputs[name] for name in names]
+    if grass := [number for number, (_, given) in enumerate(sources.layers) if _is_grass(given)]:
+        tufts = _add_tufts(n, group_inputs[SIZE], group_inputs[VARIATION])
+        for number in grass:
+            layers[number] = n.vector("MULTIPLY", layers[number], tufts)
+    colour = _add_mixture(n, sources, layers, noise) if names else PLAIN
     if COLORS in sources.maps:
         colour = _add_map(n, sources, COLORS)["Color"]
     colour = _add_variation(n, colour, noise, group_inputs[VARIATION])
@@ -302,6 +313,30 @@ def _add_noise(n: Nodes, size):
     both = n.math("ADD", *octaves)
     inputs = {0: both, 1: n.math("MULTIPLY", both, -1.0), 2: n.math("SUBTRACT", *octaves)}
     return n.add("ShaderNodeCombineXYZ", inputs).outputs[0]
+
+
+def _is_grass(colour) -> bool:
+    """Return whether a layer's colour, linear RGB, is a green of plants: neither yellow nor that of water."""
+    red, green, blue = colour
+    return green > red and green > 1.5 * blue
+
+
+def _add_tufts(n: Nodes, size, variation):
+    """Add noise for grass near the camera; return a factor of its colour, 0.3 at least.
+
+    size: socket of the variation's size in metres, which limits the tufts on small land. variation: socket of the
+    strength, 0 .. 1. Tufts smaller than a pixel are left out, so that they cost nothing far away and do not flicker.
+    """
+    from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
+    length = n.math("MINIMUM", size, TUFT)
+    pixels = n.math("DIVIDE", length, n.math("MULTIPLY", from_camera, PIXEL))  # across the largest tuft
+    octaves = n.math("MINIMUM", n.math("LOGARITHM", pixels, 2.0), OCTAVES)  # the node takes negative ones as 0
+    place = n.vector("DIVIDE", n.add("ShaderNodeTexCoord").outputs["Object"], length)
+    inputs = {"Vector": place, "Scale": 1.0, "Detail": octaves, "Roughness": 1.0}
+    noise = n.add("ShaderNodeTexNoise", inputs, noise_dimensions="2D", normalize=False).outputs[0]  # about 0
+    fading = n.math("POWER", 0.5, n.math("DIVIDE", from_camera, n.math("MULTIPLY", length, TUFTS_SEEN)))
+    strength = n.math("MULTIPLY", variation, n.math("MULTIPLY", fading, noise))
+    return n.vector("MAXIMUM", n.vector("ADD", (1.0, 1.0, 1.0), n.scaled(TUFTED, strength)), (0.3, 0.3, 0.3))
 
 
 def _add_mixture(n: Nodes, sources: LayerSources, colours: Sequence, noise):

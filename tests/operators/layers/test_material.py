@@ -7,6 +7,7 @@ import pytest
 from adaptive_terrain.cbt_terrain.attributes.tiling import MARGIN
 from adaptive_terrain.operators.layers.material import SEAM, LayerSources, build_group, give_terrain_material
 from demand_trees import new_object
+from mathutils import Matrix
 from rendered_pictures import rendered
 
 LAYERS = [(f"Layer {i}", (0.05 * i, 0.3, 1.0 - 0.05 * i)) for i in range(12)]
@@ -103,10 +104,10 @@ def test_a_slot_of_the_object_gets_the_material(ground):
     assert ground.material_slots[0].material == made == give_terrain_material(ground, LayerSources(LAYERS[:2]))
 
 
-def picture_of(ground, weights, size: int = 8, height: float = 2.0, **settings) -> np.ndarray:
+def picture_of(ground, weights, size: int = 8, height: float = 2.0, across: float = 1.0, **settings) -> np.ndarray:
     """Return linear colours that Cycles gives the group alone, as emission, in the inner quarter of the square.
 
-    size: pixels along a side. height: metres of the camera above the square.
+    size: pixels along a side. height: of the camera above the square, metres. across: width of the picture, metres.
     """
     tree, group = ground.data.materials[0].node_tree, group_of(ground)
     for name, value in settings.items():
@@ -122,7 +123,8 @@ def picture_of(ground, weights, size: int = 8, height: float = 2.0, **settings) 
         found.data.foreach_set("color" if np.size(four) == 4 else "value", np.tile(four, 4).astype(np.float32))
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, height), "ORTHO", 1.0
+    camera.location, camera.data.type, camera.data.ortho_scale = (0, 0, height), "ORTHO", across
+    camera.data.clip_end = 1e4
     scene.collection.objects.link(camera)
     scene.camera = camera
     scene.render.resolution_x = scene.render.resolution_y = size
@@ -187,3 +189,34 @@ def test_tiled_maps_are_read_without_mipmaps_along_seams(ground, height):
     from_seam = np.abs(np.arange(size) + 0.5 - size / 2)
     from_seam = np.minimum(from_seam[:, None], from_seam)
     assert (seen[from_seam < width - 1] == 1.0).all() and (seen[from_seam > width + 2] == 0.0).all()
+
+
+GREEN, GREY, TURQUOISE = (0.085, 0.12, 0.035), (0.2, 0.19, 0.17), (0.06, 0.12, 0.1)
+
+
+def contrast_of(ground, color, height: float) -> float:
+    """Return the standard deviation of a layer's colour over 16 m of ground, divided by its mean.
+
+    The broad variation is made much larger than the ground, so that only tufts remain. height: of the camera, metres.
+    """
+    ground.data.transform(Matrix.Diagonal((20.0, 20.0, 1.0, 1.0)))
+    give_terrain_material(ground, LayerSources([("Ground", color)]))
+    weights, settings = {"splat_1": (1.0, 0.0, 0.0, 0.0)}, {"Variation": 0.5, "Variation Size": 1e6}
+    seen = picture_of(ground, weights, 64, height, across=16.0, **settings)[..., 1]
+    return float(seen.std() / seen.mean())
+
+
+@pytest.mark.parametrize(
+    ("color", "height", "low", "high"),
+    [(GREEN, 10.0, 0.1, 1.0), (GREEN, 1000.0, 0.0, 0.01), (GREY, 10.0, 0.0, 0.01), (TURQUOISE, 10.0, 0.0, 0.01)],
+)
+def test_only_grass_has_tufts_near_the_camera(ground, color, height, low, high):
+    assert low <= contrast_of(ground, color, height) <= high
+
+
+def test_ground_without_grass_has_no_tuft_nodes(ground):
+    kinds = []
+    for color in (GREEN, GREY):
+        give_terrain_material(ground, LayerSources([("Ground", color)]))
+        kinds.append([node.type for node in group_of(ground).node_tree.nodes].count("TEX_NOISE"))
+    assert kinds == [3, 2]

@@ -33,9 +33,9 @@ LIGHTER, WARMER = (0.9, 0.85, 0.8), (0.14, 0.02, -0.14)
 SEAM = 0.01
 # Octaves of the variation, in its size; the distance at which an octave is half as strong, in the octave's size.
 BROAD, FINE, SEEN = 3.0, 0.12, 500.0
-# Largest tufts of grass, metres; how often they halve at most; the distance at which they are half as strong, in TUFT.
-TUFT, OCTAVES, TUFTS_SEEN = 1.5, 6.0, 100.0
-TUFTED, PIXEL = (1.05, 1.0, 0.9), 0.001  # what tufts do to a colour; the smallest one, as a fraction of its distance
+# Largest tufts of grass, metres; how often they halve at most; the smallest one, as a fraction of its distance to the
+# camera; what each halving that is seen adds to a colour.
+TUFT, OCTAVES, PIXEL, TUFTED = 1.5, 5.0, 0.0015, (0.17, 0.16, 0.14)
 
 
 @dataclass(frozen=True)
@@ -325,17 +325,16 @@ def _add_tufts(n: Nodes, size, variation):
     """Add noise for grass near the camera; return a factor of its colour, 0.3 at least.
 
     size: socket of the variation's size in metres, which limits the tufts on small land. variation: socket of the
-    strength, 0 .. 1. Tufts smaller than a pixel are left out, so that they cost nothing far away and do not flicker.
+    strength, 0 .. 1. Tufts smaller than a pixel are left out, so that they cost little and do not flicker.
     """
     from_camera = n.add("ShaderNodeCameraData").outputs["View Distance"]
     length = n.math("MINIMUM", size, TUFT)
     pixels = n.math("DIVIDE", length, n.math("MULTIPLY", from_camera, PIXEL))  # across the largest tuft
-    octaves = n.math("MINIMUM", n.math("LOGARITHM", pixels, 2.0), OCTAVES)  # the node takes negative ones as 0
+    octaves = n.math("MAXIMUM", n.math("MINIMUM", n.math("LOGARITHM", pixels, 2.0), OCTAVES), 0.0)
     place = n.vector("DIVIDE", n.add("ShaderNodeTexCoord").outputs["Object"], length)
     inputs = {"Vector": place, "Scale": 1.0, "Detail": octaves, "Roughness": 1.0}
     noise = n.add("ShaderNodeTexNoise", inputs, noise_dimensions="2D", normalize=False).outputs[0]  # about 0
-    fading = n.math("POWER", 0.5, n.math("DIVIDE", from_camera, n.math("MULTIPLY", length, TUFTS_SEEN)))
-    strength = n.math("MULTIPLY", variation, n.math("MULTIPLY", fading, noise))
+    strength = n.math("MULTIPLY", variation, n.math("MULTIPLY", octaves, noise))
     return n.vector("MAXIMUM", n.vector("ADD", (1.0, 1.0, 1.0), n.scaled(TUFTED, strength)), (0.3, 0.3, 0.3))
 
 

@@ -127,7 +127,9 @@ class SetUpScene(bpy.types.Operator):
             _, area, _, region_3d = viewport
             self.viewed = region_3d.view_matrix.inverted(), viewpoint.lens_of(area.spaces.active)
         is_users = current is not None and not defaults.is_default_camera(current)
-        if self.view == CURRENT and through_camera and is_users and self.viewed is None:
+        # Where no viewport is open, a script may ask for the current view by name: that of the scene's camera.
+        is_camera_view = through_camera or viewport is None and self.properties.is_property_set("view")
+        if self.view == CURRENT and is_camera_view and is_users and self.viewed is None:
             frame_terrain.widen_camera(obj, context.evaluated_depsgraph_get(), sight.box_of(obj))
             return current, ""
         if built_camera is None:

@@ -130,3 +130,17 @@ def test_the_view_across_is_over_the_shaped_land(terrain, capfd, monkeypatch):
     assert [str(field.path) for field in fields] == [source, source, source, shaped]
     terrain.adaptive_terrain.land.entries[0].on = False
     assert note not in set_up() and str(fields[-1].path) == source
+
+
+def test_a_script_may_keep_the_camera_of_the_scene(factory, add_terrain, monkeypatch):
+    """No viewport is open. By default the camera then looks across the terrain."""
+    monkeypatch.setattr(viewpoint, "viewport_of", lambda _context: None)
+    add_terrain()
+    camera = bpy.data.objects.new("Mine", bpy.data.cameras.new("Mine"))
+    factory.collection.objects.link(camera)
+    camera.location, factory.camera = (10.0, 20.0, 3000.0), camera
+    bpy.context.view_layer.update()
+    assert SET_UP.set_up_scene(view="CURRENT") == {"FINISHED"}
+    assert factory.camera == camera and tuple(camera.location) == (10.0, 20.0, 3000.0)
+    assert SET_UP.set_up_scene() == {"FINISHED"}
+    assert factory.camera != camera or tuple(camera.location) != (10.0, 20.0, 3000.0)

@@ -7,7 +7,6 @@ it. Without a store, or if that cannot be written, the arrays are in memory.
 """
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 
@@ -75,7 +74,7 @@ def scratch_array(raster: HeightRaster, shape: tuple[int, ...], dtype: DTypeLike
     which removes no mapped file.
     """
     is_large = math.prod(shape) * np.dtype(dtype).itemsize >= MIN_SCRATCH
-    folder = store.data_folder(raster) if is_large and os.name == "posix" else None
+    folder = store.data_folder(raster) if is_large and store_arrays.CAN_REMOVE_MAPPED else None
     if folder is not None:
         try:
             with partial_files.private_folder(folder) as private:

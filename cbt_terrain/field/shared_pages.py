@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays in pages of which those that equal the page before are not stored again, as over a sea.
+"""Arrays in pages that store each run of equal pages once, as over a sea.
 
 Errors and ranges of heights are images in pages of PAGE x PAGE vertices (lattice.py). Over seas and lakes, which are
 level, and in gaps most pages of a row are equal. A table finds the stored page of each page:
@@ -26,6 +26,7 @@ from ..run.buffers import flat, shared
 from .lattice import PAGE
 from .store_arrays import (
     AGAIN,
+    CAN_REMOVE_MAPPED,
     allocate_array,
     append_checksums,
     map_array,
@@ -44,12 +45,11 @@ PARTS = ("pages", "places")  # files of such an array: NAME_PART.npy
 MIN_SAVED, MIN_FRACTION = 1 << 20, 0.25
 SPARE_BYTES = 1 << 24  # of a disk that stay free for what is written after the pages
 READ_PAGES = 4096  # that are read at once
-CAN_REMOVE_MAPPED = os.name != "nt"  # Windows removes no file that is mapped
 
 
 @dataclass(frozen=True, eq=False)
 class SharedPages:
-    """An array that is read like a numpy array, by slices and by arrays of entries; what is read is a copy.
+    """An array that is read like a numpy array, by slices without a step and by arrays of entries, as a copy.
 
     Attributes:
         stored: the stored pages, [pages * ENTRIES, ...].
@@ -79,7 +79,9 @@ class SharedPages:
 
     def __getitem__(self, index: slice | np.ndarray) -> np.ndarray:
         if isinstance(index, slice):
-            first, end, _ = index.indices(len(self))
+            first, end, step = index.indices(len(self))
+            if step != 1:
+                raise IndexError(f"shared pages have no slices with the step {step}")
             pages = _pages_of(self.stored)[self.places[first // ENTRIES : -(-end // ENTRIES)]]
             return pages.reshape(-1, *self.shape[1:])[first % ENTRIES :][: max(end - first, 0)]
         return self.stored[self.places[index // ENTRIES].astype(np.int64) * ENTRIES + index % ENTRIES]

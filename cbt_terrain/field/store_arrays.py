@@ -33,6 +33,7 @@ ROWS = 256  # rows that are tested together
 SAMPLED = 4
 SUMMED = 256  # blocks of a file that is being written, after which its pages are released
 
+CAN_REMOVE_MAPPED = os.name != "nt"  # Windows removes no file that is mapped
 AGAIN = "import or shape the terrain again"
 
 

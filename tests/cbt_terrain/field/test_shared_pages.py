@@ -99,6 +99,8 @@ def test_parts_of_shared_pages_are_read_like_arrays(pair, name):
         assert np.array_equal(found[first:end], whole[first:end])
     for first, end in rng.integers(0, len(whole), (50, 2)):
         assert np.array_equal(found[first:end], whole[first:end])
+    with pytest.raises(IndexError, match="step -1"):
+        found[::-1]
     entries = rng.integers(0, len(whole), (40, 30))
     assert np.array_equal(found[entries], whole[entries])
 
